@@ -1,0 +1,1 @@
+//! The transfer functions that ship with the program, by name.

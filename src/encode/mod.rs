@@ -1,0 +1,1 @@
+//! [`Image`](crate::render::Image) -> bytes of a file format.

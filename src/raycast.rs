@@ -1,0 +1,1 @@
+//! The image-order renderer: the reference, slow and plain.

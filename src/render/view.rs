@@ -1,0 +1,301 @@
+//! Camera -> [`View`]: which ray belongs to which pixel.
+//!
+//! Every camera, whichever way it was told, comes down to rays that are linear in the pixel
+//! coordinates: parallel rays share a direction and start on a plane, perspective rays share an eye
+//! and pass through a plane. The factorization and the ray caster both start from here.
+
+use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
+
+/// How a client tells where it looks from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Camera {
+    /// Around a target, by angles in degrees.
+    Orbit(Orbit),
+    /// From a point towards another.
+    LookAt(LookAt),
+    /// WebGL matrices: `view` is rigid (world -> camera), `projection` maps into -1..1, y up.
+    Matrices { view: DMat4, projection: DMat4 },
+}
+
+/// The two projections.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Projection {
+    Parallel,
+    Perspective,
+}
+
+/// A camera on a sphere around its target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Orbit {
+    pub projection: Projection,
+    /// Degrees; 0 looks at the patient's face, 90 stands at the patient's left.
+    pub azimuth: f64,
+    /// Degrees above the axial plane.
+    pub elevation: f64,
+    /// Degrees by which the camera turns counter-clockwise about its viewing axis.
+    pub roll: f64,
+    /// Magnification.
+    pub zoom: f64,
+    /// Vertical field of view in degrees (perspective).
+    pub fov_y: f64,
+    /// World mm; the volume's centre unless told.
+    pub target: Option<DVec3>,
+}
+
+impl Default for Orbit {
+    fn default() -> Self {
+        Self {
+            projection: Projection::Parallel,
+            azimuth: 0.0,
+            elevation: 0.0,
+            roll: 0.0,
+            zoom: 1.0,
+            fov_y: 30.0,
+            target: None,
+        }
+    }
+}
+
+/// A camera at a position.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LookAt {
+    pub projection: Projection,
+    /// World mm.
+    pub position: DVec3,
+    pub target: DVec3,
+    pub up: DVec3,
+    /// Height of the image in mm (parallel); twice the volume's radius unless told.
+    pub view_height: Option<f64>,
+    /// Vertical field of view in degrees (perspective).
+    pub fov_y: f64,
+}
+
+/// Why a camera gives no view.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ViewError {
+    #[error("position and target must differ, and up must not point along the line of sight")]
+    Degenerate,
+    #[error("the view matrix must be rigid: a rotation and a translation")]
+    NotRigid,
+    #[error(
+        "the projection matrix must be invertible and either parallel (last row 0 0 0 1) or a perspective one (last row 0 0 -1 0)"
+    )]
+    Projection,
+}
+
+impl ViewError {
+    /// The field at fault, as a JSON pointer below `camera`.
+    pub fn pointer(&self) -> &'static str {
+        match self {
+            Self::Degenerate => "/look_at",
+            Self::NotRigid => "/matrices/view",
+            Self::Projection => "/matrices/projection",
+        }
+    }
+}
+
+/// A ray in world mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ray {
+    pub origin: DVec3,
+    /// Of unit length.
+    pub direction: DVec3,
+}
+
+/// Half of world space: points with `normal . p + offset >= 0`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HalfSpace {
+    pub normal: DVec3,
+    pub offset: f64,
+}
+
+/// The rays of an image. Pixel coordinates are continuous: column `i` has its centre at `i + 0.5`,
+/// row 0 is on top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    width: u32,
+    height: u32,
+    rays: Rays,
+    /// Unit vector from the eye into the picture, perpendicular to the image plane.
+    forward: DVec3,
+    /// Near and far planes of a camera told by matrices.
+    clip: Vec<HalfSpace>,
+}
+
+/// Rays, linear in the pixel coordinates; world mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rays {
+    /// From `corner + x dx + y dy` along `direction` (unit).
+    Parallel { corner: DVec3, dx: DVec3, dy: DVec3, direction: DVec3 },
+    /// From `eye` along `corner + x dx + y dy`.
+    Perspective { eye: DVec3, corner: DVec3, dx: DVec3, dy: DVec3 },
+}
+
+impl View {
+    /// The view of `camera` on a volume with this `centre` and `radius` (world mm), as an image of
+    /// `width` x `height` pixels.
+    ///
+    /// # Errors
+    /// Where the camera's vectors or matrices are degenerate.
+    pub fn new(camera: &Camera, centre: DVec3, radius: f64, width: u32, height: u32) -> Result<Self, ViewError> {
+        match camera {
+            Camera::Orbit(orbit) => Ok(Self::from_orbit(orbit, centre, radius, width, height)),
+            Camera::LookAt(look) => Self::from_look_at(look, radius, width, height),
+            Camera::Matrices { view, projection } => Self::from_matrices(view, projection, width, height),
+        }
+    }
+
+    fn from_orbit(orbit: &Orbit, centre: DVec3, radius: f64, width: u32, height: u32) -> Self {
+        let (sin_a, cos_a) = exact_sin_cos(orbit.azimuth);
+        let (sin_e, cos_e) = exact_sin_cos(orbit.elevation);
+        let (sin_r, cos_r) = exact_sin_cos(orbit.roll);
+        let back = DVec3::new(sin_a * cos_e, -cos_a * cos_e, sin_e);
+        let up = DVec3::new(-sin_a * sin_e, cos_a * sin_e, cos_e);
+        let right = (-back).cross(up);
+        let (right, up) = (right * cos_r + up * sin_r, up * cos_r - right * sin_r);
+        let target = orbit.target.unwrap_or(centre);
+        let tan_half = (orbit.fov_y.to_radians() / 2.0).tan();
+        let (eye, half_height) = match orbit.projection {
+            Projection::Parallel => (target + back * (4.0 * radius), radius / orbit.zoom),
+            Projection::Perspective => {
+                let distance = radius / (orbit.fov_y.to_radians() / 2.0).sin();
+                (target + back * distance, tan_half / orbit.zoom)
+            }
+        };
+        Self::from_basis(orbit.projection, eye, [right, up, -back], half_height, width, height)
+    }
+
+    fn from_look_at(look: &LookAt, radius: f64, width: u32, height: u32) -> Result<Self, ViewError> {
+        let forward = (look.target - look.position).try_normalize().ok_or(ViewError::Degenerate)?;
+        let up = look.up.try_normalize().ok_or(ViewError::Degenerate)?;
+        let across = forward.cross(up);
+        if across.length() < 1e-6 {
+            return Err(ViewError::Degenerate);
+        }
+        let right = across.normalize();
+        let half_height = match look.projection {
+            Projection::Parallel => look.view_height.unwrap_or(2.0 * radius) / 2.0,
+            Projection::Perspective => (look.fov_y.to_radians() / 2.0).tan(),
+        };
+        let basis = [right, right.cross(forward), forward];
+        Ok(Self::from_basis(look.projection, look.position, basis, half_height, width, height))
+    }
+
+    /// `half_height` is in mm for parallel rays, at distance 1 for perspective ones.
+    fn from_basis(
+        projection: Projection,
+        eye: DVec3,
+        [right, up, forward]: [DVec3; 3],
+        half_height: f64,
+        width: u32,
+        height: u32,
+    ) -> Self {
+        let half_width = half_height * f64::from(width) / f64::from(height);
+        let dx = right * (2.0 * half_width / f64::from(width));
+        let dy = up * (-2.0 * half_height / f64::from(height));
+        let corner = up * half_height - right * half_width;
+        let rays = match projection {
+            Projection::Parallel => Rays::Parallel { corner: eye + corner, dx, dy, direction: forward },
+            Projection::Perspective => Rays::Perspective { eye, corner: forward + corner, dx, dy },
+        };
+        Self { width, height, rays, forward, clip: vec![] }
+    }
+
+    fn from_matrices(view: &DMat4, projection: &DMat4, width: u32, height: u32) -> Result<Self, ViewError> {
+        let rotation = DMat3::from_mat4(*view);
+        let rigid = view.is_finite()
+            && (view.row(3) - DVec4::W).abs().max_element() < 1e-6
+            && (rotation * rotation.transpose() - DMat3::IDENTITY).to_cols_array().iter().all(|e| e.abs() < 1e-4)
+            && rotation.determinant() > 0.0;
+        if !rigid {
+            return Err(ViewError::NotRigid);
+        }
+        let last = projection.row(3);
+        let scale = last.abs().max_element();
+        let parallel = last.truncate().abs().max_element() <= 1e-9 * scale && last.w > 0.0;
+        let perspective = last.x.abs().max(last.y.abs()).max(last.w.abs()) <= 1e-9 * scale && last.z < 0.0;
+        let inverse = projection.inverse();
+        if !(projection.is_finite() && inverse.is_finite() && (parallel || perspective)) {
+            return Err(ViewError::Projection);
+        }
+        // The plane of rays: any depth in clip space does, all its points lie on the pixel's ray.
+        let world_from_camera = view.inverse();
+        let camera_point = |x: f64, y: f64, z: f64| inverse.project_point3(DVec3::new(x, y, z));
+        let (left_top, right_top, left_bottom) =
+            (camera_point(-1.0, 1.0, 0.0), camera_point(1.0, 1.0, 0.0), camera_point(-1.0, -1.0, 0.0));
+        let dx = world_from_camera.transform_vector3(right_top - left_top) / f64::from(width);
+        let dy = world_from_camera.transform_vector3(left_bottom - left_top) / f64::from(height);
+        let forward = world_from_camera.transform_vector3(DVec3::NEG_Z);
+        let rays = if parallel {
+            let near = camera_point(-1.0, 1.0, -1.0);
+            let towards =
+                world_from_camera.transform_vector3(left_top - near) * (left_top - near).dot(DVec3::NEG_Z).signum();
+            let direction = towards.try_normalize().ok_or(ViewError::Projection)?;
+            Rays::Parallel { corner: world_from_camera.transform_point3(left_top), dx, dy, direction }
+        } else {
+            let eye = world_from_camera.transform_point3(DVec3::ZERO);
+            // In front of the eye, whatever the sign of the depth mapping.
+            let side = left_top.dot(DVec3::NEG_Z).signum();
+            let corner = world_from_camera.transform_vector3(left_top) * side;
+            Rays::Perspective { eye, corner, dx: dx * side, dy: dy * side }
+        };
+        let clip_from_world = *projection * *view;
+        let (z, w) = (clip_from_world.row(2), clip_from_world.row(3));
+        let clip = [w + z, w - z].map(|p| HalfSpace { normal: p.truncate(), offset: p.w }).to_vec();
+        Ok(Self { width, height, rays, forward, clip })
+    }
+
+    /// Pixels across and down.
+    pub fn size(&self) -> (u32, u32) {
+        (self.width, self.height)
+    }
+
+    /// The rays' equations.
+    pub fn rays(&self) -> &Rays {
+        &self.rays
+    }
+
+    /// Parallel or perspective.
+    pub fn projection(&self) -> Projection {
+        match self.rays {
+            Rays::Parallel { .. } => Projection::Parallel,
+            Rays::Perspective { .. } => Projection::Perspective,
+        }
+    }
+
+    /// Unit vector into the picture, perpendicular to the image plane.
+    pub fn forward(&self) -> DVec3 {
+        self.forward
+    }
+
+    /// Half-spaces that what is seen must lie in.
+    pub fn clip(&self) -> &[HalfSpace] {
+        &self.clip
+    }
+
+    /// The ray through pixel coordinates `at`.
+    pub fn ray(&self, at: DVec2) -> Ray {
+        match self.rays {
+            Rays::Parallel { corner, dx, dy, direction } => Ray { origin: corner + dx * at.x + dy * at.y, direction },
+            Rays::Perspective { eye, corner, dx, dy } => {
+                Ray { origin: eye, direction: (corner + dx * at.x + dy * at.y).normalize() }
+            }
+        }
+    }
+}
+
+/// Sine and cosine of degrees, exact at multiples of 90, so that axis-aligned views have no shear.
+fn exact_sin_cos(degrees: f64) -> (f64, f64) {
+    let turn = degrees.rem_euclid(360.0);
+    if turn == 0.0 {
+        (0.0, 1.0)
+    } else if turn == 90.0 {
+        (1.0, 0.0)
+    } else if turn == 180.0 {
+        (0.0, -1.0)
+    } else if turn == 270.0 {
+        (-1.0, 0.0)
+    } else {
+        turn.to_radians().sin_cos()
+    }
+}

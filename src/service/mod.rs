@@ -1,0 +1,1 @@
+//! HTTP over the library; the only folder that knows tokio.

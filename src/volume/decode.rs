@@ -1,0 +1,1 @@
+//! Files -> volumes: sniff the format, enforce limits before memory is taken, dispatch.
