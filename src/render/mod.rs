@@ -1,15 +1,19 @@
 //! Classified volume + [`View`] -> [`Image`]: one frame, pure, without async.
 
+mod image;
 pub mod view;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::classify::{ClassifiedVolume, TransferFunction};
+use crate::raycast::raycast;
 use crate::volume::PreparedVolume;
+pub use image::Image;
 pub use view::{Camera, LookAt, Orbit, Projection, Ray, View, ViewError};
 
 /// How a frame is made.
@@ -84,16 +88,6 @@ pub struct Settings {
     pub skipping: bool,
 }
 
-/// 8-bit pixels, row 0 on top, rows without padding.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Image {
-    pub width: u32,
-    pub height: u32,
-    /// 3 (RGB) or 4 (RGBA, straight alpha).
-    pub channels: u8,
-    pub pixels: Vec<u8>,
-}
-
 /// How long each stage of a frame took. Stages that did not run are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Timings {
@@ -159,17 +153,33 @@ pub fn check(_view: &View, _settings: &Settings) -> Result<(), RenderError> {
 /// [`RenderError::Cancelled`] soon after `cancel` was called; [`RenderError::Unsupported`] for what
 /// [`check`] refuses.
 pub fn render(
-    _scene: &Scene<'_>,
+    scene: &Scene<'_>,
     view: &View,
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
     check(view, settings)?;
-    if cancel.is_cancelled() {
-        return Err(RenderError::Cancelled);
+    match settings.algorithm {
+        Algorithm::Raycast => reference(scene, view, settings, cancel),
+        Algorithm::Classified => Err(RenderError::Unsupported { pointer: "/algorithm", detail: "later".into() }),
     }
+}
+
+/// A frame by the ray caster.
+fn reference(
+    scene: &Scene<'_>,
+    view: &View,
+    settings: &Settings,
+    cancel: &Cancel,
+) -> Result<(Image, Timings), RenderError> {
+    let start = Instant::now();
+    let rays = raycast(scene, view, settings, cancel)?;
+    let composite = start.elapsed();
     let (width, height) = view.size();
-    let channels = if settings.background == Background::Transparent { 4 } else { 3 };
-    let pixels = vec![0; width as usize * height as usize * channels as usize];
-    Ok((Image { width, height, channels, pixels }, Timings::default()))
+    let channels = settings.background.channels();
+    let mut pixels = vec![0; rays.len() * channels];
+    let rows = pixels.par_chunks_mut(width as usize * channels).zip(rays.par_chunks(width as usize));
+    rows.for_each(|(out, row)| image::write_row(row, &settings.background, out));
+    let timings = Timings { composite, render: start.elapsed(), ..Timings::default() };
+    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
 }
