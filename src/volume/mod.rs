@@ -6,6 +6,7 @@
 
 pub mod decode;
 pub mod gradient;
+pub mod histogram;
 pub mod octree;
 pub mod phantom;
 
