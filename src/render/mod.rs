@@ -1,7 +1,13 @@
 //! Classified volume + [`View`] -> [`Image`]: one frame, pure, without async.
 
+pub mod composite;
+pub mod factorization;
 mod image;
+pub mod intermediate;
+pub mod material;
+pub mod shade;
 pub mod view;
+pub mod warp;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,8 +18,14 @@ use rayon::prelude::*;
 
 use crate::classify::{ClassifiedVolume, TransferFunction};
 use crate::raycast::raycast;
-use crate::volume::PreparedVolume;
+use crate::volume::gradient::GradientFrame;
+use crate::volume::{PreparedVolume, Volume};
+use composite::Composite;
+use factorization::Factorization;
 pub use image::Image;
+use intermediate::IntermediateImage;
+use material::{Material, SliceTables};
+use shade::ShadingTable;
 pub use view::{Camera, LookAt, Orbit, Projection, Ray, View, ViewError};
 
 /// How a frame is made.
@@ -143,8 +155,11 @@ pub struct Scene<'a> {
 ///
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
-pub fn check(_view: &View, _settings: &Settings) -> Result<(), RenderError> {
-    Ok(())
+pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
+    match settings.algorithm {
+        Algorithm::Raycast => Ok(()),
+        Algorithm::Classified => Factorization::new(view, volume).map(|_| ()),
+    }
 }
 
 /// One frame, on the current rayon pool. The pixels do not depend on the number of threads.
@@ -158,10 +173,9 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    check(view, settings)?;
     match settings.algorithm {
         Algorithm::Raycast => reference(scene, view, settings, cancel),
-        Algorithm::Classified => Err(RenderError::Unsupported { pointer: "/algorithm", detail: "later".into() }),
+        Algorithm::Classified => shear_warp(scene, view, settings, cancel),
     }
 }
 
@@ -182,4 +196,75 @@ fn reference(
     rows.for_each(|(out, row)| image::write_row(row, &settings.background, out));
     let timings = Timings { composite, render: start.elapsed(), ..Timings::default() };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+}
+
+/// A frame by the shear-warp factorization: the paper's outline.
+fn shear_warp(
+    scene: &Scene<'_>,
+    view: &View,
+    settings: &Settings,
+    cancel: &Cancel,
+) -> Result<(Image, Timings), RenderError> {
+    let classified = scene.classified.expect("the algorithm classified needs a classified volume");
+    let start = Instant::now();
+    let volume = scene.prepared.volume();
+
+    // Factor the view into shear and warp.
+    let factorization = Factorization::new(view, volume)?;
+
+    // Make the tables that depend on the view: opacity and colour by code, shading by normal.
+    let factored = !scene.transfer.gradient_opacity.is_empty();
+    let tables = SliceTables::new(classified.tables(), &factorization, factored);
+    let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
+    let shading =
+        settings.shading.as_ref().map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame));
+    let shade = start.elapsed();
+
+    // Shear, resample and composite the slices into the intermediate image.
+    let mut intermediate = IntermediateImage::new(factorization.size);
+    let frame = ClassifiedFrame { classified, factorization: &factorization, settings, cancel };
+    match (&shading, factored) {
+        (Some(_), true) => frame.composite::<true, true>(&tables, shading.as_ref(), &mut intermediate),
+        (Some(_), false) => frame.composite::<true, false>(&tables, shading.as_ref(), &mut intermediate),
+        (None, true) => frame.composite::<false, true>(&tables, None, &mut intermediate),
+        (None, false) => frame.composite::<false, false>(&tables, None, &mut intermediate),
+    }?;
+    let composite = start.elapsed();
+
+    // Warp the intermediate image into the final one.
+    let (width, height) = view.size();
+    let channels = settings.background.channels();
+    let mut pixels = vec![0; width as usize * height as usize * channels];
+    let map = factorization.sheared_from_image;
+    warp::warp(&intermediate, map, &settings.background, width as usize, &mut pixels, cancel)?;
+    let render = start.elapsed();
+
+    let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
+    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+}
+
+/// What compositing takes from the frame, whatever its type parameters.
+struct ClassifiedFrame<'a> {
+    classified: &'a ClassifiedVolume,
+    factorization: &'a Factorization,
+    settings: &'a Settings,
+    cancel: &'a Cancel,
+}
+
+impl ClassifiedFrame<'_> {
+    fn composite<const LIT: bool, const FACTORED: bool>(
+        &self,
+        tables: &SliceTables,
+        shading: Option<&ShadingTable>,
+        image: &mut IntermediateImage,
+    ) -> Result<(), RenderError> {
+        let composite = Composite::<LIT, FACTORED> {
+            encoding: self.classified.run_lengths().for_axis(self.factorization.principal_axis),
+            factorization: self.factorization,
+            material: Material::new(tables, shading),
+            opaque: self.settings.early_ray_termination,
+            cancel: self.cancel,
+        };
+        if self.settings.skipping { composite.run(image) } else { composite::naive::run(&composite, image) }
+    }
 }
