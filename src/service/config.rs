@@ -14,6 +14,8 @@ use figment::Figment;
 use figment::providers::{Env, Format, Toml};
 use serde::{Deserialize, Deserializer, de};
 
+use super::request::ImageLimits;
+
 /// The built-in defaults, with the reason for each.
 pub const DEFAULTS: &str = include_str!("../../config/default.toml");
 
@@ -99,6 +101,13 @@ pub struct Cache {
     #[serde(deserialize_with = "folder")]
     pub folder: Option<PathBuf>,
     pub folder_bytes: u64,
+}
+
+impl Image {
+    /// As requests are checked against them.
+    pub fn limits(&self) -> ImageLimits {
+        ImageLimits { max_side: self.max_side, max_pixels: self.max_pixels }
+    }
 }
 
 /// The keys that have a flag on the command line; `None` leaves what the other sources say.

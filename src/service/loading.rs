@@ -104,12 +104,12 @@ async fn load(app: Arc<App>, entry: Arc<Entry>) {
     let built = ticket
         .run(move |_| {
             let volume = read(&source.source, &limits)?;
-            Ok(Arc::new(LoadedVolume::build(volume, source.modality.as_deref())))
+            Ok(Arc::new(LoadedVolume::build(volume, source.modality.clone())))
         })
         .await
         .unwrap_or_else(|panic| Err(panic.to_string()));
     let outcome = match built {
-        Ok(volume) => warm_up(&app, &entry, &volume).await.map(|()| volume),
+        Ok(volume) => warm_up(&app, &volume).await.map(|()| volume),
         Err(reason) => Err(reason),
     };
     match &outcome {
@@ -123,7 +123,7 @@ async fn load(app: Arc<App>, entry: Arc<Entry>) {
                 non_finite = report.non_finite,
                 quantized = report.quantized,
                 volumes_left_out = report.volumes_left_out,
-                preset = volume.default_preset.name,
+                preset = volume.default_preset,
                 seconds = start.elapsed().as_secs_f64(),
                 "volume is ready"
             );
@@ -141,13 +141,12 @@ fn read(source: &Source, limits: &decode::Limits) -> Result<Volume, String> {
 }
 
 /// Builds what the empty request needs, so that the first frame is as fast as the second.
-async fn warm_up(app: &App, entry: &Entry, volume: &Arc<LoadedVolume>) -> Result<(), String> {
+async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
     let resolved = RenderRequest::default()
-        .resolve(volume.volume(), entry.modality.as_deref(), &app.config.image.limits())
+        .resolve(volume.volume(), volume.modality.as_deref(), &app.config.image.limits())
         .map_err(|error| error.to_string())?;
-    let classification = Classification { transfer: resolved.transfer, min_opacity: resolved.min_opacity };
     let ticket = app.pool.own_work();
-    app.store.classified(&ticket, volume, classification, true).await.map_err(|error| error.to_string())?;
+    app.store.classified(&ticket, volume, Classification::of(&resolved), true).await.map_err(|error| error.to_string())?;
     Ok(())
 }
 

@@ -19,7 +19,8 @@ use super::cache_folder::CacheFolder;
 use super::error::Problem;
 use super::metrics;
 use super::render_pool::{PoolError, Ticket};
-use crate::classify::presets::{self, DefaultPreset};
+use super::request::ResolvedRequest;
+use crate::classify::presets;
 use crate::classify::{ClassifiedVolume, TransferFunction};
 use crate::volume::histogram::Histogram;
 use crate::volume::{PreparedVolume, Scalars, Volume};
@@ -80,18 +81,20 @@ impl Entry {
 pub struct LoadedVolume {
     pub prepared: PreparedVolume,
     pub histogram: Histogram,
-    pub default_preset: DefaultPreset,
+    /// Name of the transfer function that a request gets which names none.
+    pub default_preset: &'static str,
+    pub modality: Option<String>,
     /// Names the content: voxels, rescale and placement.
     pub fingerprint: u128,
 }
 
 impl LoadedVolume {
     /// Builds the structures on the current rayon pool.
-    pub fn build(volume: Volume, modality: Option<&str>) -> Self {
+    pub fn build(volume: Volume, modality: Option<String>) -> Self {
         let fingerprint = fingerprint(&volume);
         let histogram = Histogram::of(&volume);
-        let default_preset = presets::default_for(&volume, modality);
-        Self { prepared: PreparedVolume::build(volume), histogram, default_preset, fingerprint }
+        let default_preset = presets::default_for(&volume, modality.as_deref()).name;
+        Self { prepared: PreparedVolume::build(volume), histogram, default_preset, modality, fingerprint }
     }
 
     /// What was measured.
@@ -139,6 +142,11 @@ pub struct Classification {
 }
 
 impl Classification {
+    /// What a frame needs.
+    pub fn of(frame: &ResolvedRequest) -> Self {
+        Self { transfer: frame.transfer.clone(), min_opacity: frame.min_opacity }
+    }
+
     /// The whole content, not a hash of it: hashes can be made to collide by whoever sends transfer
     /// functions, and then one client would get another's picture.
     fn key(&self, volume: &LoadedVolume) -> Arc<str> {
