@@ -113,14 +113,14 @@ impl CacheFolder {
     /// # Errors
     /// Where the folder cannot be written; what was there before is then still there.
     pub fn save(&self, key: &str, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
-        let mut file = tempfile::Builder::new().suffix(&format!(".{EXTENSION}")).tempfile_in(&self.path)?;
-        let mut output = ChecksummedWriter { inner: BufWriter::with_capacity(1 << 20, &mut file), hash: Xxh3::new() };
+        let file = tempfile::Builder::new().suffix(&format!(".{EXTENSION}")).tempfile_in(&self.path)?;
+        let mut output = ChecksummedWriter {
+            inner: BufWriter::with_capacity(1 << 20, file.as_file()),
+            hash: Xxh3::new(),
+        };
         output.write_all(&header(key))?;
         write(&mut output)?;
-        let ChecksummedWriter { mut inner, hash } = output;
-        inner.write_all(&hash.digest128().to_le_bytes())?;
-        inner.flush()?;
-        drop(inner);
+        output.finish()?;
         file.as_file().sync_all()?;
         file.persist(self.path_of(key)).map_err(|error| error.error)?;
         File::open(&self.path)?.sync_all()?;
@@ -187,6 +187,14 @@ impl Write for HashWriter<'_> {
 struct ChecksummedWriter<W> {
     inner: W,
     hash: Xxh3,
+}
+
+impl<W: Write> ChecksummedWriter<W> {
+    /// Writes the checksum of what was written.
+    fn finish(mut self) -> io::Result<()> {
+        self.inner.write_all(&self.hash.digest128().to_le_bytes())?;
+        self.inner.flush()
+    }
 }
 
 impl<W: Write> Write for ChecksummedWriter<W> {

@@ -29,6 +29,9 @@ const RAW_HEADERS: [HeaderName; 3] = [
     HeaderName::from_static("x-image-channels"),
 ];
 
+/// What a request without a body asks for: the defaults.
+pub const EMPTY_REQUEST: &[u8] = b"{}";
+
 /// Clients may keep a frame, but ask whether it is still the one: with the ETag that costs them
 /// 304 and no rendering, and a scan replaced under the same name never shows as the old one.
 const CACHE_CONTROL: &str = "no-cache";
@@ -43,7 +46,7 @@ pub async fn from_body(
     let volume = app.store.loaded(&id)?;
     let headers = request.headers().clone();
     let body = read_json(&app, request).await?;
-    let request = if body.is_empty() { RenderRequest::default() } else { RenderRequest::from_json(&body)? };
+    let request = RenderRequest::from_json(if body.is_empty() { EMPTY_REQUEST } else { &body })?;
     let accepted = |format: &Format| request.clone().with_format(*format).is_ok();
     let offered: Vec<_> = Format::ALL.into_iter().filter(accepted).collect();
     let format = match request.format() {

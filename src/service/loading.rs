@@ -14,6 +14,7 @@ use serde::Deserialize;
 use tokio::task::JoinSet;
 
 use super::App;
+use super::frames::EMPTY_REQUEST;
 use super::request::RenderRequest;
 use super::store::{Classification, Entry, LoadedVolume, Source};
 use crate::volume::{Volume, decode, phantom};
@@ -101,13 +102,14 @@ async fn load(app: Arc<App>, entry: Arc<Entry>) {
     let limits = decode::Limits { max_voxels: app.config.volume.max_voxels };
     let ticket = app.pool.own_work();
     let source = Arc::clone(&entry);
-    let built = ticket
+    let built: Result<_, String> = ticket
         .run(move |_| {
             let volume = read(&source.source, &limits)?;
             Ok(Arc::new(LoadedVolume::build(volume, source.modality.clone())))
         })
         .await
-        .unwrap_or_else(|panic| Err(panic.to_string()));
+        .map_err(|panic| panic.to_string())
+        .and_then(|(built, _)| built);
     let outcome = match built {
         Ok(volume) => warm_up(&app, &volume).await.map(|()| volume),
         Err(reason) => Err(reason),
@@ -142,8 +144,8 @@ fn read(source: &Source, limits: &decode::Limits) -> Result<Volume, String> {
 
 /// Builds what the empty request needs, so that the first frame is as fast as the second.
 async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
-    let resolved = RenderRequest::default()
-        .resolve(volume.volume(), volume.modality.as_deref(), &app.config.image.limits())
+    let resolved = RenderRequest::from_json(EMPTY_REQUEST)
+        .and_then(|request| request.resolve(volume.volume(), volume.modality.as_deref(), &app.config.image.limits()))
         .map_err(|error| error.to_string())?;
     let ticket = app.pool.own_work();
     app.store.classified(&ticket, volume, Classification::of(&resolved), true).await.map_err(|error| error.to_string())?;

@@ -77,7 +77,7 @@ fn connection(
     let mut builder = http1::Builder::new();
     builder.timer(TokioTimer::new()).header_read_timeout(config.header_timeout);
     let io = TokioIo::new(Box::pin(stream));
-    let connection = builder.serve_connection(io, TowerToHyperService::new(router)).with_upgrades();
+    let connection = builder.serve_connection(io, TowerToHyperService::new(router));
     let watched = watcher.watch(connection);
     async move {
         if let Err(error) = watched.await {

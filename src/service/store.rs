@@ -238,11 +238,9 @@ impl Store {
         let (cache, folder, volume, ticket) =
             (self.classified.clone(), self.folder.clone(), Arc::clone(volume), ticket.clone());
         let build = tokio::spawn(async move {
-            let job = {
-                let key = Arc::clone(&key);
-                move || Arc::new(obtain(&key, &volume, &classification, folder.as_ref(), keep))
-            };
-            cache.try_get_with(key, async { ticket.run(|_| job()).await.map(|(built, _)| built) }).await
+            let name = Arc::clone(&key);
+            let job = move || Arc::new(obtain(&name, &volume, &classification, folder.as_ref(), keep));
+            cache.try_get_with(key, async move { ticket.run(move |_| job()).await.map(|(built, _)| built) }).await
         });
         build.await.map_err(|_| PoolError::Panicked)?.map_err(|shared| PoolError::clone(&shared))
     }

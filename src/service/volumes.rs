@@ -133,7 +133,7 @@ impl Facts {
             scalar_type: report.scalar_type.name(),
             components: 1,
             value_range: [low, high],
-            default_preset: loaded.default_preset.name,
+            default_preset: loaded.default_preset,
             import: Import {
                 format: report.format,
                 non_finite: report.non_finite,
