@@ -1,1 +1,3 @@
 //! HTTP over the library; the only folder that knows tokio.
+
+pub mod request;
