@@ -204,3 +204,192 @@ impl RequestError {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The pointers of what is refused.
+    fn refused(result: Result<RenderRequest, RequestError>) -> Vec<String> {
+        match result {
+            Err(RequestError::Refused(fields)) => fields.into_iter().map(|f| f.pointer).collect(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn json(text: &str) -> Result<RenderRequest, RequestError> {
+        RenderRequest::from_json(text.as_bytes())
+    }
+
+    #[test]
+    fn the_request_of_the_contract_is_read() {
+        let text = r##"{
+            "camera": {"projection": "parallel", "azimuth": 30, "elevation": 15, "roll": 0, "zoom": 1, "fov_y": 30,
+                "target": [1, 2.5, 3]},
+            "image": {"width": 512, "height": 512, "format": "png", "background": "#000000"},
+            "transfer_function": {"points": [{"value": -1000, "opacity": 0, "color": "#000000"}],
+                "opacity_distance": 1.0, "gradient_opacity": [{"value": 0, "opacity": 0}]},
+            "shading": {"ambient": 0.1, "diffuse": 0.8, "specular": 0.2, "shininess": 20,
+                "lights": ["headlight", {"direction": [0, 0, 1], "intensity": 1}]},
+            "blend": "composite", "algorithm": "auto", "quality": "standard", "early_ray_termination": 0.99,
+            "min_opacity": 0.002, "sample_distance": 0.125
+        }"##;
+        assert_eq!(json(text).unwrap().format(), Some(Format::Png));
+    }
+
+    #[test]
+    fn every_wrong_field_is_named_by_its_pointer() {
+        let cases = [
+            ("[]", ""),
+            ("null", ""),
+            ("3", ""),
+            (r#"{"colour": 1}"#, "/colour"),
+            (r#"{"a/b~c": 1}"#, "/a~1b~0c"),
+            (r#"{"camera": null}"#, "/camera"),
+            (r#"{"camera": [1]}"#, "/camera"),
+            (r#"{"camera": {"azimut": 1}}"#, "/camera/azimut"),
+            (r#"{"camera": {"azimuth": "30"}}"#, "/camera/azimuth"),
+            (r#"{"camera": {"azimuth": null}}"#, "/camera/azimuth"),
+            (r#"{"camera": {"azimuth": 1e7}}"#, "/camera/azimuth"),
+            (r#"{"camera": {"azimuth": 1, "azimuth": 1}}"#, "/camera/azimuth"),
+            (r#"{"camera": {"azimuth": 1e400}}"#, "/camera/azimuth"),
+            (r#"{"camera": {"zoom": 0}}"#, "/camera/zoom"),
+            (r#"{"camera": {"fov_y": 180}}"#, "/camera/fov_y"),
+            (r#"{"camera": {"target": [1, 2]}}"#, "/camera/target"),
+            (r#"{"camera": {"target": [1, 2, 3, 4]}}"#, "/camera/target"),
+            (r#"{"camera": {"target": [1, true, 3]}}"#, "/camera/target/1"),
+            (r#"{"camera": {"target": [1, 2, 1e10]}}"#, "/camera/target/2"),
+            (r#"{"camera": {"projection": "fisheye"}}"#, "/camera/projection"),
+            (r#"{"camera": {"projection": {"parallel": null}}}"#, "/camera/projection"),
+            (r#"{"camera": {"look_at": {"position": [0, 0, 0]}}}"#, "/camera/look_at"),
+            (r#"{"camera": {"view_height": 3}}"#, "/camera/view_height"),
+            (r#"{"image": {"width": 0}}"#, "/image/width"),
+            (r#"{"image": {"width": -1}}"#, "/image/width"),
+            (r#"{"image": {"width": 1.5}}"#, "/image/width"),
+            (r#"{"image": {"width": 1e12}}"#, "/image/width"),
+            (r#"{"image": {"format": "bmp"}}"#, "/image/format"),
+            (r#"{"image": {"background": "black"}}"#, "/image/background"),
+            (r#"{"image": {"format": "jpeg", "background": "transparent"}}"#, "/image/background"),
+            (r#"{"image": {"format": "webp", "height": 20000}}"#, "/image/height"),
+            (r#"{"transfer_function": 3}"#, "/transfer_function"),
+            (r#"{"transfer_function": {"points": []}}"#, "/transfer_function/points"),
+            (r#"{"transfer_function": {"points": [[1, 0, "000000"]]}}"#, "/transfer_function/points/0"),
+            (r#"{"transfer_function": {"points": [{"value": 1, "opacity": 0}]}}"#, "/transfer_function/points/0"),
+            (
+                r##"{"transfer_function": {"points": [{"value": 1, "opacity": 2, "color": "#000000"}]}}"##,
+                "/transfer_function/points/0/opacity",
+            ),
+            (
+                r#"{"transfer_function": {"points": [{"value": 1, "opacity": 0, "color": "red"}]}}"#,
+                "/transfer_function/points/0/color",
+            ),
+            (
+                r#"{"transfer_function": {"points": [], "opacity_distance": null}}"#,
+                "/transfer_function/opacity_distance",
+            ),
+            (r#"{"shading": "on"}"#, "/shading"),
+            (r#"{"shading": {"ambient": -1}}"#, "/shading/ambient"),
+            (r#"{"shading": {"lights": ["sun"]}}"#, "/shading/lights/0"),
+            (r#"{"shading": {"lights": [{"direction": [0, 0, 0]}]}}"#, "/shading/lights/0/direction"),
+            (
+                r#"{"shading": {"lights": ["headlight", {"direction": [0, 0, 1], "power": 1}]}}"#,
+                "/shading/lights/1/power",
+            ),
+            (r#"{"algorithm": "magic"}"#, "/algorithm"),
+            (r#"{"quality": 1}"#, "/quality"),
+            (r#"{"early_ray_termination": 0}"#, "/early_ray_termination"),
+            (r#"{"min_opacity": 1}"#, "/min_opacity"),
+            (r#"{"algorithm": "raycast", "min_opacity": 0.1}"#, "/min_opacity"),
+            (r#"{"algorithm": "classified", "sample_distance": 1}"#, "/sample_distance"),
+            (r#"{"sample_distance": 0}"#, "/sample_distance"),
+            (r#"{"algorithm": "classified", "quality": "high"}"#, "/quality"),
+        ];
+        for (text, pointer) in cases {
+            assert_eq!(refused(json(text)), [pointer], "{text}");
+        }
+        let nine = format!(r#"{{"shading": {{"lights": {:?}}}}}"#, ["headlight"; 9]);
+        assert_eq!(refused(json(&nine)), ["/shading/lights"]);
+    }
+
+    #[test]
+    fn all_fields_out_of_range_are_named_at_once() {
+        let text = r#"{"camera": {"zoom": 0, "roll": 1e9}, "image": {"width": 0}, "min_opacity": 2}"#;
+        assert_eq!(refused(json(text)), ["/camera/roll", "/camera/zoom", "/image/width", "/min_opacity"]);
+    }
+
+    #[test]
+    fn a_camera_is_told_in_one_way() {
+        let look = r#""look_at": {"position": [0, -500, 0], "target": [0, 0, 0]}"#;
+        let matrices = format!(r#""matrices": {{"view": {0:?}, "projection": {0:?}}}"#, [1; 16]);
+        let camera = |fields: &str| json(&format!(r#"{{"camera": {{{fields}}}}}"#));
+        assert!(camera(look).is_ok());
+        assert!(camera(&format!(r#"{look}, "view_height": 300, "projection": "parallel""#)).is_ok());
+        assert_eq!(refused(camera(&format!(r#"{look}, "zoom": 2, "roll": 1"#))), ["/camera/roll", "/camera/zoom"]);
+        assert_eq!(refused(camera(&format!(r#"{matrices}, "azimuth": 0"#))), ["/camera/azimuth"]);
+        assert_eq!(refused(camera(&format!(r#"{matrices}, "projection": "parallel""#))), ["/camera/projection"]);
+        assert_eq!(refused(camera(&format!("{look}, {matrices}"))), ["/camera/matrices"]);
+    }
+
+    #[test]
+    fn what_this_version_does_not_do_is_refused_and_said_so() {
+        for (text, pointer) in [
+            (r#"{"algorithm": "preintegrated"}"#, "/algorithm"),
+            (r#"{"algorithm": "fast-classification", "min_opacity": 0.1}"#, "/algorithm"),
+            (r#"{"blend": "maximum"}"#, "/blend"),
+            (r#"{"window": {"center": 40, "width": 400}}"#, "/window"),
+            (r#"{"depth_cueing": {"front": 1, "density": 1}}"#, "/depth_cueing"),
+            (r#"{"preintegration": {"entries": 256}}"#, "/preintegration"),
+        ] {
+            let refusal = json(text).unwrap_err();
+            assert!(refusal.to_string().contains("not supported by this version"), "{refusal}");
+            assert_eq!(refused(Err(refusal)), [pointer]);
+        }
+    }
+
+    #[test]
+    fn wrong_parameters_are_named_as_the_client_wrote_them() {
+        for (query, pointer) in [
+            ("azimuth=inf", "/azimuth"),
+            ("azimuth=", "/azimuth"),
+            ("azimuth=1e7", "/azimuth"),
+            ("azimuth=1&azimuth=2", "/azimuth"),
+            ("width=0", "/width"),
+            ("width=1.5", "/width"),
+            ("shading=1", "/shading"),
+            ("background=red", "/background"),
+            ("projection=fisheye", "/projection"),
+            ("quality=best", "/quality"),
+            ("algorithm=preintegrated", "/algorithm"),
+            ("format=png", "/format"),
+            ("a%2Fb=1", "/a~1b"),
+        ] {
+            assert_eq!(refused(RenderRequest::from_query(query)), [pointer], "{query}");
+        }
+        assert!(RenderRequest::from_query("").is_ok());
+    }
+
+    #[test]
+    fn short_names_override_the_fields_of_the_json() {
+        let text = br#"{"camera": {"azimuth": 10, "elevation": 5}}"#;
+        let expected = json(r#"{"camera": {"azimuth": 20, "elevation": 5}, "image": {"width": 7}}"#);
+        let options = [("azimuth", "20"), ("width", "7")];
+        assert_eq!(RenderRequest::from_json_and_options(text, options), expected);
+        let wrong = RenderRequest::from_json_and_options(br#"{"camera": 3}"#, options);
+        assert_eq!(refused(wrong), ["/camera"]);
+    }
+
+    #[test]
+    fn a_turned_request_has_another_azimuth() {
+        let turned = json(r#"{"camera": {"azimuth": 10}}"#).unwrap().turned(4.0).unwrap();
+        assert_eq!(Ok(turned), json(r#"{"camera": {"azimuth": 14}}"#));
+        let look = json(r#"{"camera": {"look_at": {"position": [0, -500, 0], "target": [0, 0, 0]}}}"#).unwrap();
+        assert_eq!(refused(look.turned(4.0)), ["/camera/look_at"]);
+    }
+
+    #[test]
+    fn jpeg_is_refused_for_transparent_images_however_it_is_asked_for() {
+        let request = RenderRequest::from_query("background=transparent").unwrap();
+        assert_eq!(refused(request.clone().with_format(Format::Jpeg)), ["/background"]);
+        assert_eq!(request.with_format(Format::Webp).unwrap().format(), Some(Format::Webp));
+    }
+}

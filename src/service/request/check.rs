@@ -6,7 +6,9 @@ use std::ops::{Bound, RangeBounds, RangeInclusive};
 
 use glam::{DMat4, DVec3};
 
-use super::fields::{CameraFields, Either, Fields, ImageFields, LightName, LookAtFields, MatricesFields, ShadingFields};
+use super::fields::{
+    CameraFields, Either, Fields, ImageFields, LightName, LookAtFields, MatricesFields, ShadingFields,
+};
 use super::{AlgorithmChoice, InvalidField, Quality, RenderRequest, ShadingChoice, Spelling, Transfer};
 use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
@@ -39,6 +41,7 @@ pub const NO_AZIMUTH: &str = "expected an orbit camera: frames around the vertic
 /// Every field at fault.
 pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     let mut refusals = Refusals(fields.refuse_unsupported());
+    refusals.options_of_algorithms(&fields);
     let camera = refusals.camera(&fields.camera);
     let (width, height, format, background) = refusals.image(&fields.image);
     let transfer = refusals.transfer(fields.transfer_function);
@@ -46,7 +49,6 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     refusals.range("/early_ray_termination", fields.early_ray_termination, EARLY_RAY_TERMINATION);
     refusals.range("/min_opacity", fields.min_opacity, MIN_OPACITY);
     refusals.range("/sample_distance", fields.sample_distance, SAMPLE_DISTANCE);
-    refusals.options_of_algorithms(&fields);
     let request = RenderRequest {
         camera,
         width,
@@ -128,7 +130,10 @@ impl Refusals {
         };
         if let Some(told_by) = told_by {
             for (name, _) in orbit_fields.iter().filter(|(_, there)| *there) {
-                self.refuse(format!("/camera/{name}"), format!("belongs to an orbit, but the camera is told by {told_by}"));
+                self.refuse(
+                    format!("/camera/{name}"),
+                    format!("belongs to an orbit, but the camera is told by {told_by}"),
+                );
             }
         }
         self.range("/camera/fov_y", camera.fov_y, FOV_Y);

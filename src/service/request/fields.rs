@@ -127,7 +127,8 @@ impl Fields {
             ("/depth_cueing", self.depth_cueing.is_some()),
             ("/preintegration", self.preintegration.is_some()),
         ];
-        let refusal = |pointer: &str| InvalidField { pointer: pointer.into(), detail: "not supported by this version".into() };
+        let refusal =
+            |pointer: &str| InvalidField { pointer: pointer.into(), detail: "not supported by this version".into() };
         asked.into_iter().filter(|(_, used)| *used).map(|(pointer, _)| refusal(pointer)).collect()
     }
 }
