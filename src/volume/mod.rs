@@ -7,7 +7,15 @@
 pub mod decode;
 pub mod phantom;
 
+mod metaimage;
+mod narrow;
+mod nifti;
+mod nrrd;
 mod prepared;
+mod raw;
+mod source;
+mod text;
+mod voxels;
 
 pub use prepared::{PrepareTimings, PreparedVolume};
 
