@@ -10,7 +10,15 @@ pub mod histogram;
 pub mod octree;
 pub mod phantom;
 
+mod metaimage;
+mod narrow;
+mod nifti;
+mod nrrd;
 mod prepared;
+mod raw;
+mod source;
+mod text;
+mod voxels;
 
 pub use prepared::{PrepareTimings, PreparedVolume};
 
