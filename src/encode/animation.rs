@@ -14,13 +14,13 @@ pub struct Animation<W: Write> {
 }
 
 impl<W: Write> Animation<W> {
-    /// An animation of `frames` frames like `first` (which is not written yet), each shown for
-    /// `delay` = numerator / denominator seconds.
+    /// An animation of `frames` frames of `size` = (width, height) pixels with `channels` (3 or 4),
+    /// each shown for `delay` = numerator / denominator seconds.
     ///
     /// # Errors
     /// For 0 frames, and where `out` fails.
-    pub fn start(out: W, first: &Image, frames: u32, delay: (u16, u16)) -> Result<Self, EncodeError> {
-        let mut encoder = super::png_encoder(out, first.width, first.height, first.channels);
+    pub fn start(out: W, size: (u32, u32), channels: u8, frames: u32, delay: (u16, u16)) -> Result<Self, EncodeError> {
+        let mut encoder = super::png_encoder(out, size.0, size.1, channels);
         encoder.set_animated(frames, 0)?;
         encoder.set_frame_delay(delay.0, delay.1)?;
         encoder.set_blend_op(png::BlendOp::Source)?;
@@ -28,7 +28,7 @@ impl<W: Write> Animation<W> {
         Ok(Self { writer: encoder.write_header()? })
     }
 
-    /// Adds a frame of the same size and channels as the first.
+    /// Adds a frame of the size and channels that were told.
     ///
     /// # Errors
     /// For a frame of another size or too many frames, and where the output fails.
@@ -56,7 +56,7 @@ mod tests {
         let mut second = first.clone();
         second.pixels.reverse();
         let mut bytes = Vec::new();
-        let mut animation = Animation::start(&mut bytes, &first, 2, (1, 15)).unwrap();
+        let mut animation = Animation::start(&mut bytes, (8, 6), 3, 2, (1, 15)).unwrap();
         animation.push(&first).unwrap();
         animation.push(&second).unwrap();
         animation.finish().unwrap();
@@ -73,7 +73,7 @@ mod tests {
     #[test]
     fn an_animation_with_frames_missing_is_refused() {
         let first = picture(8, 6, 3);
-        let mut animation = Animation::start(Vec::new(), &first, 2, (1, 15)).unwrap();
+        let mut animation = Animation::start(Vec::new(), (8, 6), 3, 2, (1, 15)).unwrap();
         animation.push(&first).unwrap();
         assert!(animation.finish().is_err());
     }

@@ -114,10 +114,8 @@ impl CacheFolder {
     /// Where the folder cannot be written; what was there before is then still there.
     pub fn save(&self, key: &str, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
         let file = tempfile::Builder::new().suffix(&format!(".{EXTENSION}")).tempfile_in(&self.path)?;
-        let mut output = ChecksummedWriter {
-            inner: BufWriter::with_capacity(1 << 20, file.as_file()),
-            hash: Xxh3::new(),
-        };
+        let mut output =
+            ChecksummedWriter { inner: BufWriter::with_capacity(1 << 20, file.as_file()), hash: Xxh3::new() };
         output.write_all(&header(key))?;
         write(&mut output)?;
         output.finish()?;

@@ -108,7 +108,9 @@ impl Problem {
                 all.join("; ")
             }
             Self::Busy { .. } => "the queue is full; Retry-After says when to come back".into(),
-            Self::Loading { id, .. } => format!("volume {id:?} is still being loaded; Retry-After says when to come back"),
+            Self::Loading { id, .. } => {
+                format!("volume {id:?} is still being loaded; Retry-After says when to come back")
+            }
             Self::Deadline => "the frame took longer than the service allows; ask for a smaller or plainer one".into(),
             Self::Internal(what) => format!("{what}; the service's log says more under this request's id"),
         }

@@ -160,11 +160,8 @@ impl Asked {
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
         let job = move |cancel: &render::Cancel| {
-            let scene = Scene {
-                prepared: &volume.prepared,
-                transfer: &frame.transfer,
-                classified: classified.as_deref(),
-            };
+            let scene =
+                Scene { prepared: &volume.prepared, transfer: &frame.transfer, classified: classified.as_deref() };
             let (image, stages) = render::render(&scene, &frame.view, &frame.settings, cancel)?;
             let start = Instant::now();
             let bytes = encode(&image, format).map_err(|error| {

@@ -64,10 +64,17 @@ pub fn scan(folder: Option<&Path>) -> Result<Vec<Entry>, ScanError> {
     if found.is_empty() {
         tracing::warn!(folder = %folder.display(), "no volume in the folder");
     }
-    found.into_iter().map(|(id, path)| Ok(Entry::new(id.clone(), id.clone(), Source::File(path), modality(folder, &id)?))).collect()
+    found
+        .into_iter()
+        .map(|(id, path)| Ok(Entry::new(id.clone(), id.clone(), Source::File(path), modality(folder, &id)?)))
+        .collect()
 }
 
-fn modality(folder: &Path, id: &str) -> Result<Option<String>, ScanError> {
+/// The modality that `<id>.json` in `folder` names, if there is one.
+///
+/// # Errors
+/// [`ScanError::Sidecar`] for a file that does not say it as it should.
+pub fn modality(folder: &Path, id: &str) -> Result<Option<String>, ScanError> {
     let path = folder.join(format!("{id}.json"));
     let text = match fs::read(&path) {
         Ok(text) => text,
@@ -148,7 +155,10 @@ async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
         .and_then(|request| request.resolve(volume.volume(), volume.modality.as_deref(), &app.config.image.limits()))
         .map_err(|error| error.to_string())?;
     let ticket = app.pool.own_work();
-    app.store.classified(&ticket, volume, Classification::of(&resolved), true).await.map_err(|error| error.to_string())?;
+    app.store
+        .classified(&ticket, volume, Classification::of(&resolved), true)
+        .await
+        .map_err(|error| error.to_string())?;
     Ok(())
 }
 
@@ -159,7 +169,9 @@ mod tests {
     #[test]
     fn ids_come_from_names_and_modalities_from_the_files_beside_them() {
         let folder = tempfile::tempdir().unwrap();
-        for (name, text) in [("a.nii.gz", ""), ("a.json", "{\"modality\": \"MR\", \"more\": 1}"), ("b.nrrd", ""), ("x.txt", "")] {
+        for (name, text) in
+            [("a.nii.gz", ""), ("a.json", "{\"modality\": \"MR\", \"more\": 1}"), ("b.nrrd", ""), ("x.txt", "")]
+        {
             fs::write(folder.path().join(name), text).unwrap();
         }
         let entries = scan(Some(folder.path())).unwrap();

@@ -91,8 +91,7 @@ pub fn past_deadline() {
 
 /// A frame asked for a classified volume.
 pub fn classified_cache(hit: bool) {
-    let name =
-        if hit { "shearwarp_classified_cache_hits_total" } else { "shearwarp_classified_cache_misses_total" };
+    let name = if hit { "shearwarp_classified_cache_hits_total" } else { "shearwarp_classified_cache_misses_total" };
     counter!(name).increment(1);
 }
 

@@ -27,6 +27,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
+pub use loading::{ScanError, modality};
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 

@@ -21,7 +21,8 @@ const INDEX: &str = include_str!("../../web/index.html");
 const VOLUMES_MARK: &str = "<!-- volumes -->";
 
 /// The page runs nothing and loads nothing but frames of this service.
-const PAGE_POLICY: &str = "default-src 'none'; img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
+const PAGE_POLICY: &str =
+    "default-src 'none'; img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
 #[derive(Serialize)]
 pub struct Health {

@@ -20,7 +20,7 @@ pub use crate::classify::InvalidField;
 use crate::classify::TransferFunction;
 use crate::encode::Format;
 use crate::render::{Background, Camera, Shading};
-pub use options::OPTIONS;
+pub use options::{Kind, OPTIONS, RequestOption};
 pub use resolve::{ImageLimits, ResolvedRequest};
 
 /// Why there is no request.

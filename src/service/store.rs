@@ -255,9 +255,7 @@ fn obtain(
     keep: bool,
 ) -> ClassifiedVolume {
     let read = |folder: &CacheFolder| {
-        folder.load(key, |mut input| {
-            ClassifiedVolume::read_from(&volume.prepared, transfer, *min_opacity, &mut input)
-        })
+        folder.load(key, |mut input| ClassifiedVolume::read_from(&volume.prepared, transfer, *min_opacity, &mut input))
     };
     if let Some(kept) = folder.and_then(read) {
         return kept;

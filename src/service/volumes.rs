@@ -102,7 +102,8 @@ fn read_bins(query: &str) -> Result<usize, Problem> {
             return Err(Problem::refused(format!("/{name}"), "expected one parameter, bins"));
         }
         let number = text.parse().ok().filter(|n| (1..=MAX_BINS).contains(n));
-        let expected = || Problem::refused("/bins", format!("expected a whole number from 1 to {MAX_BINS}, got {text:?}"));
+        let expected =
+            || Problem::refused("/bins", format!("expected a whole number from 1 to {MAX_BINS}, got {text:?}"));
         bins = Some(number.ok_or_else(expected)?);
     }
     Ok(bins.unwrap_or(DEFAULT_BINS))

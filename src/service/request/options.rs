@@ -24,29 +24,36 @@ pub struct RequestOption {
     /// In query strings; command lines write `-` for `_`.
     pub name: &'static str,
     pub kind: Kind,
+    /// For people.
+    pub help: &'static str,
     /// The field, as a JSON pointer without the leading slash.
     field: &'static str,
 }
 
-const fn option(name: &'static str, kind: Kind, field: &'static str) -> RequestOption {
-    RequestOption { name, kind, field }
+const fn option(name: &'static str, kind: Kind, field: &'static str, help: &'static str) -> RequestOption {
+    RequestOption { name, kind, help, field }
 }
 
 /// Every short name.
 pub const OPTIONS: [RequestOption; 13] = [
-    option("azimuth", Kind::Number, "camera/azimuth"),
-    option("elevation", Kind::Number, "camera/elevation"),
-    option("roll", Kind::Number, "camera/roll"),
-    option("zoom", Kind::Number, "camera/zoom"),
-    option("fov_y", Kind::Number, "camera/fov_y"),
-    option("projection", Kind::Text, "camera/projection"),
-    option("width", Kind::Number, "image/width"),
-    option("height", Kind::Number, "image/height"),
-    option("background", Kind::Color, "image/background"),
-    option("preset", Kind::Text, "transfer_function"),
-    option("shading", Kind::Flag, "shading"),
-    option("algorithm", Kind::Text, "algorithm"),
-    option("quality", Kind::Text, "quality"),
+    option(
+        "azimuth",
+        Kind::Number,
+        "camera/azimuth",
+        "Degrees around the vertical axis; 0 looks at the face, 90 stands at the patient's left",
+    ),
+    option("elevation", Kind::Number, "camera/elevation", "Degrees above the axial plane"),
+    option("roll", Kind::Number, "camera/roll", "Degrees about the viewing axis"),
+    option("zoom", Kind::Number, "camera/zoom", "Magnification"),
+    option("fov_y", Kind::Number, "camera/fov_y", "Vertical field of view in degrees (perspective)"),
+    option("projection", Kind::Text, "camera/projection", "parallel or perspective"),
+    option("width", Kind::Number, "image/width", "Pixels"),
+    option("height", Kind::Number, "image/height", "Pixels"),
+    option("background", Kind::Color, "image/background", "#rrggbb, rrggbb or transparent"),
+    option("preset", Kind::Text, "transfer_function", "Name of a transfer function"),
+    option("shading", Kind::Flag, "shading", "true or false"),
+    option("algorithm", Kind::Text, "algorithm", "auto, classified or raycast"),
+    option("quality", Kind::Text, "quality", "draft, standard or high"),
 ];
 
 /// Sets the fields that a query string names.

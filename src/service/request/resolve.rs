@@ -55,6 +55,15 @@ impl RenderRequest {
         self.resolve_json(volume, modality, limits).map_err(|error| error.spelled(self.spelling))
     }
 
+    /// What the camera sees of `volume`. Pointers are those of the JSON request.
+    ///
+    /// # Errors
+    /// For a degenerate camera, which an orbit never is.
+    pub fn view(&self, volume: &Volume) -> Result<View, RequestError> {
+        View::new(&self.camera, volume.centre(), volume.radius(), self.width, self.height)
+            .map_err(|e| RequestError::refused(&format!("/camera{}", e.pointer()), e.to_string()))
+    }
+
     /// Pointers are those of the JSON request.
     fn resolve_json(
         &self,
@@ -63,8 +72,7 @@ impl RenderRequest {
         limits: &ImageLimits,
     ) -> Result<ResolvedRequest, RequestError> {
         self.keep_to(limits)?;
-        let view = View::new(&self.camera, volume.centre(), volume.radius(), self.width, self.height)
-            .map_err(|e| RequestError::refused(&format!("/camera{}", e.pointer()), e.to_string()))?;
+        let view = self.view(volume)?;
         let (mut transfer, shaded) = self.transfer(volume, modality)?;
         transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
         let algorithm = self.algorithm(&view);
