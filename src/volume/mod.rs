@@ -6,10 +6,19 @@
 
 pub mod decode;
 pub mod gradient;
+pub mod histogram;
 pub mod octree;
 pub mod phantom;
 
+mod metaimage;
+mod narrow;
+mod nifti;
+mod nrrd;
 mod prepared;
+mod raw;
+mod source;
+mod text;
+mod voxels;
 
 pub use prepared::{PrepareTimings, PreparedVolume};
 
