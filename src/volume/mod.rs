@@ -5,6 +5,8 @@
 //! kernel knows two voxel types only and every table over scalars is a plain array over codes.
 
 pub mod decode;
+pub mod gradient;
+pub mod octree;
 pub mod phantom;
 
 mod metaimage;
