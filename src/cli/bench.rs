@@ -202,8 +202,15 @@ fn prepare_ms(stage: &Stage, load: Duration) -> BTreeMap<&'static str, f64> {
 /// `images` are the intermediate image, where there is one, and the final one.
 fn bytes(stage: &Stage, phases: &Phases) -> BTreeMap<&'static str, u64> {
     let classified = stage.classified.iter().flat_map(|c| c.bytes());
-    let intermediate = stage.classified.as_ref().map_or(0, |_| IntermediateImage::new(phases.intermediate_size).bytes());
-    stage.prepared.bytes().into_iter().chain(classified).chain([("images", intermediate + phases.image_bytes)]).collect()
+    let intermediate =
+        stage.classified.as_ref().map_or(0, |_| IntermediateImage::new(phases.intermediate_size).bytes());
+    stage
+        .prepared
+        .bytes()
+        .into_iter()
+        .chain(classified)
+        .chain([("images", intermediate + phases.image_bytes)])
+        .collect()
 }
 
 impl Report {
