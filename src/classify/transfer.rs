@@ -149,6 +149,20 @@ impl TransferFunction {
         lerp(low.opacity, high.opacity, t)
     }
 
+    /// True where everything in these ranges of scalar and gradient magnitude has opacity zero.
+    /// Piecewise linear functions are zero over a range if they are at its ends and at every point
+    /// inside.
+    pub fn is_transparent(&self, values: (f64, f64), gradients: (f64, f64)) -> bool {
+        let inside = |value: f64, (low, high): (f64, f64)| low <= value && value <= high;
+        let by_value = self.opacity(values.0) <= 0.0
+            && self.opacity(values.1) <= 0.0
+            && self.points.iter().all(|p| p.opacity <= 0.0 || !inside(p.value, values));
+        let by_gradient = self.gradient_factor(gradients.0) <= 0.0
+            && self.gradient_factor(gradients.1) <= 0.0
+            && self.gradient_opacity.iter().all(|p| p.opacity <= 0.0 || !inside(p.value, gradients));
+        by_value || by_gradient
+    }
+
     /// The reference length in mm, given the volume's smallest spacing.
     pub fn reference_length(&self, smallest_spacing: f64) -> f64 {
         self.opacity_distance.unwrap_or(smallest_spacing)

@@ -1,15 +1,31 @@
 //! Classified volume + [`View`] -> [`Image`]: one frame, pure, without async.
 
+pub mod composite;
+pub mod factorization;
+mod image;
+pub mod intermediate;
+pub mod material;
+pub mod shade;
 pub mod view;
+pub mod warp;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::classify::{ClassifiedVolume, TransferFunction};
-use crate::volume::PreparedVolume;
+use crate::raycast::raycast;
+use crate::volume::gradient::GradientFrame;
+use crate::volume::{PreparedVolume, Volume};
+use composite::Composite;
+use factorization::Factorization;
+pub use image::Image;
+use intermediate::IntermediateImage;
+use material::{Material, SliceTables};
+use shade::ShadingTable;
 pub use view::{Camera, LookAt, Orbit, Projection, Ray, View, ViewError};
 
 /// How a frame is made.
@@ -84,16 +100,6 @@ pub struct Settings {
     pub skipping: bool,
 }
 
-/// 8-bit pixels, row 0 on top, rows without padding.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Image {
-    pub width: u32,
-    pub height: u32,
-    /// 3 (RGB) or 4 (RGBA, straight alpha).
-    pub channels: u8,
-    pub pixels: Vec<u8>,
-}
-
 /// How long each stage of a frame took. Stages that did not run are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Timings {
@@ -149,8 +155,11 @@ pub struct Scene<'a> {
 ///
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
-pub fn check(_view: &View, _settings: &Settings) -> Result<(), RenderError> {
-    Ok(())
+pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
+    match settings.algorithm {
+        Algorithm::Raycast => Ok(()),
+        Algorithm::Classified => Factorization::new(view, volume).map(|_| ()),
+    }
 }
 
 /// One frame, on the current rayon pool. The pixels do not depend on the number of threads.
@@ -159,17 +168,103 @@ pub fn check(_view: &View, _settings: &Settings) -> Result<(), RenderError> {
 /// [`RenderError::Cancelled`] soon after `cancel` was called; [`RenderError::Unsupported`] for what
 /// [`check`] refuses.
 pub fn render(
-    _scene: &Scene<'_>,
+    scene: &Scene<'_>,
     view: &View,
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    check(view, settings)?;
-    if cancel.is_cancelled() {
-        return Err(RenderError::Cancelled);
+    match settings.algorithm {
+        Algorithm::Raycast => reference(scene, view, settings, cancel),
+        Algorithm::Classified => shear_warp(scene, view, settings, cancel),
     }
+}
+
+/// A frame by the ray caster.
+fn reference(
+    scene: &Scene<'_>,
+    view: &View,
+    settings: &Settings,
+    cancel: &Cancel,
+) -> Result<(Image, Timings), RenderError> {
+    let start = Instant::now();
+    let rays = raycast(scene, view, settings, cancel)?;
+    let composite = start.elapsed();
     let (width, height) = view.size();
-    let channels = if settings.background == Background::Transparent { 4 } else { 3 };
-    let pixels = vec![0; width as usize * height as usize * channels as usize];
-    Ok((Image { width, height, channels, pixels }, Timings::default()))
+    let channels = settings.background.channels();
+    let mut pixels = vec![0; rays.len() * channels];
+    let rows = pixels.par_chunks_mut(width as usize * channels).zip(rays.par_chunks(width as usize));
+    rows.for_each(|(out, row)| image::write_row(row, &settings.background, out));
+    let timings = Timings { composite, render: start.elapsed(), ..Timings::default() };
+    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+}
+
+/// A frame by the shear-warp factorization: the paper's outline.
+fn shear_warp(
+    scene: &Scene<'_>,
+    view: &View,
+    settings: &Settings,
+    cancel: &Cancel,
+) -> Result<(Image, Timings), RenderError> {
+    let classified = scene.classified.expect("the algorithm classified needs a classified volume");
+    let start = Instant::now();
+    let volume = scene.prepared.volume();
+
+    // Factor the view into shear and warp.
+    let factorization = Factorization::new(view, volume)?;
+
+    // Make the tables that depend on the view: opacity and colour by code, shading by normal.
+    let factored = !scene.transfer.gradient_opacity.is_empty();
+    let tables = SliceTables::new(classified.tables(), &factorization, factored);
+    let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
+    let shading =
+        settings.shading.as_ref().map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame));
+    let shade = start.elapsed();
+
+    // Shear, resample and composite the slices into the intermediate image.
+    let mut intermediate = IntermediateImage::new(factorization.size);
+    let frame = ClassifiedFrame { classified, factorization: &factorization, settings, cancel };
+    match (&shading, factored) {
+        (Some(_), true) => frame.composite::<true, true>(&tables, shading.as_ref(), &mut intermediate),
+        (Some(_), false) => frame.composite::<true, false>(&tables, shading.as_ref(), &mut intermediate),
+        (None, true) => frame.composite::<false, true>(&tables, None, &mut intermediate),
+        (None, false) => frame.composite::<false, false>(&tables, None, &mut intermediate),
+    }?;
+    let composite = start.elapsed();
+
+    // Warp the intermediate image into the final one.
+    let (width, height) = view.size();
+    let channels = settings.background.channels();
+    let mut pixels = vec![0; width as usize * height as usize * channels];
+    let map = factorization.sheared_from_image;
+    warp::warp(&intermediate, map, &settings.background, width as usize, &mut pixels, cancel)?;
+    let render = start.elapsed();
+
+    let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
+    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+}
+
+/// What compositing takes from the frame, whatever its type parameters.
+struct ClassifiedFrame<'a> {
+    classified: &'a ClassifiedVolume,
+    factorization: &'a Factorization,
+    settings: &'a Settings,
+    cancel: &'a Cancel,
+}
+
+impl ClassifiedFrame<'_> {
+    fn composite<const LIT: bool, const FACTORED: bool>(
+        &self,
+        tables: &SliceTables,
+        shading: Option<&ShadingTable>,
+        image: &mut IntermediateImage,
+    ) -> Result<(), RenderError> {
+        let composite = Composite::<LIT, FACTORED> {
+            encoding: self.classified.run_lengths().for_axis(self.factorization.principal_axis),
+            factorization: self.factorization,
+            material: Material::new(tables, shading),
+            opaque: self.settings.early_ray_termination,
+            cancel: self.cancel,
+        };
+        if self.settings.skipping { composite.run(image) } else { composite::naive::run(&composite, image) }
+    }
 }

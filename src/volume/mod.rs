@@ -5,9 +5,20 @@
 //! kernel knows two voxel types only and every table over scalars is a plain array over codes.
 
 pub mod decode;
+pub mod gradient;
+pub mod histogram;
+pub mod octree;
 pub mod phantom;
 
+mod metaimage;
+mod narrow;
+mod nifti;
+mod nrrd;
 mod prepared;
+mod raw;
+mod source;
+mod text;
+mod voxels;
 
 pub use prepared::{PrepareTimings, PreparedVolume};
 

@@ -1,0 +1,183 @@
+//! What `render` and `bench` put before the camera: a volume and a request, from their arguments.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::{Arg, ArgMatches, Args, Command};
+use indicatif::ProgressBar;
+use shearwarp::classify::ClassifiedVolume;
+use shearwarp::render::{self, Algorithm, Cancel, Image, Scene, Timings, View};
+use shearwarp::service;
+use shearwarp::service::request::{ImageLimits, Kind, OPTIONS, RenderRequest, RequestError, ResolvedRequest};
+use shearwarp::volume::decode::{self, Limits, RawLayout};
+use shearwarp::volume::{PreparedVolume, Volume, phantom};
+
+use super::Failure;
+
+/// The name of the built-in volume, where no file has it.
+const DEMO: &str = "demo";
+
+/// Larger than the service's: nobody else waits. 16384 is what PNG viewers take.
+const LIMITS: ImageLimits = ImageLimits { max_side: 16_384, max_pixels: 1 << 27 };
+
+#[derive(Args, Debug)]
+pub struct VolumeArguments {
+    /// A file of any supported format, or "demo" for the built-in volume
+    volume: PathBuf,
+    /// The file is a bare array: NX,NY,NZ,TYPE[,SX,SY,SZ], TYPE like u8, i16 or f32:be
+    #[arg(long, value_name = "LAYOUT", value_parser = RawLayout::parse)]
+    raw: Option<RawLayout>,
+}
+
+/// A volume as it came from its file.
+#[derive(Debug)]
+pub struct LoadedVolume {
+    pub name: String,
+    pub volume: Volume,
+    pub modality: Option<String>,
+    pub load: Duration,
+}
+
+impl VolumeArguments {
+    /// Reads the volume, and its modality where a `.json` beside it names one.
+    pub fn load(&self) -> Result<LoadedVolume, Failure> {
+        let progress = spinner("loading");
+        let start = Instant::now();
+        let name = self.volume.display().to_string();
+        let (volume, modality) = if self.volume == Path::new(DEMO) && !self.volume.exists() {
+            (phantom::head(), Some("CT".to_owned()))
+        } else {
+            let volume = match &self.raw {
+                Some(layout) => decode::load_raw(&self.volume, layout, &Limits::default()),
+                None => decode::load(&self.volume, &Limits::default()),
+            };
+            let volume = volume.map_err(|error| Failure::of(&name)(error.to_string()))?;
+            (volume, self.modality()?)
+        };
+        progress.finish_and_clear();
+        Ok(LoadedVolume { name, volume, modality, load: start.elapsed() })
+    }
+
+    fn modality(&self) -> Result<Option<String>, Failure> {
+        let folder = self.volume.parent().unwrap_or(Path::new(""));
+        let id = self.volume.file_name().and_then(|name| name.to_str()).and_then(decode::volume_id);
+        id.map_or(Ok(None), |id| service::modality(folder, &id)).map_err(|error| Failure::Other(error.to_string()))
+    }
+}
+
+/// `--request FILE`, and an option for every short name of the API.
+#[derive(Debug, Default)]
+pub struct RequestArguments {
+    request: Option<PathBuf>,
+    /// By the API's name.
+    options: BTreeMap<&'static str, String>,
+}
+
+impl RequestArguments {
+    /// The request; options override the fields of the file.
+    pub fn read(&self) -> Result<RenderRequest, Failure> {
+        let json = match &self.request {
+            None => b"{}".to_vec(),
+            Some(path) => fs::read(path).map_err(|error| Failure::Usage(format!("{}: {error}", path.display())))?,
+        };
+        let options = self.options.iter().map(|(name, text)| (*name, text.as_str()));
+        RenderRequest::from_json_and_options(&json, options).map_err(refused)
+    }
+}
+
+/// Derived options would repeat the API's table of short names.
+impl Args for RequestArguments {
+    fn augment_args(command: Command) -> Command {
+        let request = Arg::new("request")
+            .long("request")
+            .value_name("FILE")
+            .value_parser(clap::value_parser!(PathBuf))
+            .help("Render request as JSON, as for POST; further options override its fields");
+        let options = OPTIONS.iter().map(|option| {
+            let value_name = match option.kind {
+                Kind::Number => "NUMBER",
+                Kind::Flag => "BOOL",
+                Kind::Text => "NAME",
+                Kind::Color => "COLOR",
+            };
+            // Numbers may start with a minus.
+            let long = option.name.replace('_', "-");
+            Arg::new(option.name).long(long).value_name(value_name).help(option.help).allow_hyphen_values(true)
+        });
+        command.arg(request).args(options)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl clap::FromArgMatches for RequestArguments {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let mut arguments = Self::default();
+        arguments.update_from_arg_matches(matches)?;
+        Ok(arguments)
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        self.request = matches.get_one("request").cloned();
+        let given = OPTIONS.iter().filter_map(|option| Some((option.name, matches.get_one::<String>(option.name)?)));
+        self.options = given.map(|(name, text)| (name, text.clone())).collect();
+        Ok(())
+    }
+}
+
+/// A volume with its structures under a request: all but the camera's turn.
+#[derive(Debug)]
+pub struct Stage {
+    pub prepared: PreparedVolume,
+    /// Where the algorithm walks encodings.
+    pub classified: Option<ClassifiedVolume>,
+    pub request: RenderRequest,
+    /// The request before any turn.
+    pub resolved: ResolvedRequest,
+}
+
+impl Stage {
+    /// Builds what the request needs. A refused request costs no structures.
+    pub fn build(loaded: LoadedVolume, request: RenderRequest) -> Result<Self, Failure> {
+        let resolved = request.resolve(&loaded.volume, loaded.modality.as_deref(), &LIMITS).map_err(refused)?;
+        let progress = spinner("gradients and octree");
+        let prepared = PreparedVolume::build(loaded.volume);
+        progress.set_message("run-length encodings");
+        let classified = match resolved.settings.algorithm {
+            Algorithm::Classified => Some(ClassifiedVolume::build(&prepared, &resolved.transfer, resolved.min_opacity)),
+            Algorithm::Raycast => None,
+        };
+        progress.finish_and_clear();
+        Ok(Self { prepared, classified, request, resolved })
+    }
+
+    /// The view with the camera turned by `degrees` about the vertical axis.
+    pub fn view(&self, degrees: f64) -> Result<View, Failure> {
+        let turned = if degrees == 0.0 { Ok(self.request.clone()) } else { self.request.turned(degrees) };
+        turned.and_then(|request| request.view(self.prepared.volume())).map_err(refused)
+    }
+
+    /// The frame of a view.
+    pub fn frame(&self, view: &View) -> Result<(Image, Timings), Failure> {
+        let scene =
+            Scene { prepared: &self.prepared, transfer: &self.resolved.transfer, classified: self.classified.as_ref() };
+        render::render(&scene, view, &self.resolved.settings, &Cancel::default())
+            .map_err(|error| Failure::Usage(error.to_string()))
+    }
+}
+
+/// A request that cannot be met was a wrong usage.
+pub fn refused(error: RequestError) -> Failure {
+    Failure::Usage(format!("request: {error}"))
+}
+
+/// A sign of life on a terminal while something takes its time.
+pub fn spinner(message: &'static str) -> ProgressBar {
+    let spinner = ProgressBar::new_spinner().with_message(message);
+    spinner.enable_steady_tick(Duration::from_millis(100));
+    spinner
+}

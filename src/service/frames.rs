@@ -1,0 +1,233 @@
+//! Frames: a request is read, refused or rendered, and answered with what it cost.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::body::{Body, Bytes};
+use axum::extract::rejection::{BytesRejection, PathRejection};
+use axum::extract::{FromRequest, Path, RawQuery, Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use xxhash_rust::xxh3::xxh3_128;
+
+use super::error::Problem;
+use super::observe::Rendered;
+use super::render_pool::Ticket;
+use super::request::{RenderRequest, ResolvedRequest};
+use super::store::{Classification, LoadedVolume};
+use super::{App, metrics, negotiate};
+use crate::encode::{Format, encode};
+use crate::render::{self, Algorithm, Image, Scene, Timings};
+
+const ALGORITHM: HeaderName = HeaderName::from_static("x-render-algorithm");
+const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
+
+/// What the raw format leaves out of its bytes.
+const RAW_HEADERS: [HeaderName; 3] = [
+    HeaderName::from_static("x-image-width"),
+    HeaderName::from_static("x-image-height"),
+    HeaderName::from_static("x-image-channels"),
+];
+
+/// What a request without a body asks for: the defaults.
+pub const EMPTY_REQUEST: &[u8] = b"{}";
+
+/// Clients may keep a frame, but ask whether it is still the one: with the ETag that costs them
+/// 304 and no rendering, and a scan replaced under the same name never shows as the old one.
+const CACHE_CONTROL: &str = "no-cache";
+
+/// `POST /v1/volumes/{id}/frame`
+pub async fn from_body(
+    State(app): State<Arc<App>>,
+    id: Result<Path<String>, PathRejection>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let Path(id) = id?;
+    let volume = app.store.loaded(&id)?;
+    let headers = request.headers().clone();
+    let body = read_json(&app, request).await?;
+    let request = RenderRequest::from_json(if body.is_empty() { EMPTY_REQUEST } else { &body })?;
+    let accepted = |format: &Format| request.clone().with_format(*format).is_ok();
+    let offered: Vec<_> = Format::ALL.into_iter().filter(accepted).collect();
+    let format = match request.format() {
+        Some(format) => format,
+        None => negotiate::format(&headers, &offered).ok_or(Problem::NotAcceptable)?,
+    };
+    let asked = Asked::new(&app, id, volume, request, format)?;
+    asked.rendered(&app).await
+}
+
+/// `GET /v1/volumes/{id}/frame.{extension}`
+pub async fn from_query(
+    format: Format,
+    State(app): State<Arc<App>>,
+    id: Result<Path<String>, PathRejection>,
+    RawQuery(query): RawQuery,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let Path(id) = id?;
+    let volume = app.store.loaded(&id)?;
+    let request = RenderRequest::from_query(query.as_deref().unwrap_or_default())?;
+    let asked = Asked::new(&app, id, volume, request, format)?;
+    if negotiate::is_known(&headers, &asked.etag) {
+        return Ok(asked.not_modified());
+    }
+    asked.rendered(&app).await
+}
+
+/// The body of a request that says it is JSON; empty where there is none.
+async fn read_json(app: &App, request: Request) -> Result<Bytes, Problem> {
+    let content_type = request.headers().get(header::CONTENT_TYPE).cloned();
+    let got = content_type.as_ref().map_or("none", |value| value.to_str().unwrap_or("an unreadable one"));
+    let unsupported = || Problem::UnsupportedMediaType { expected: "application/json", got: got.to_owned() };
+    if content_type.is_some() && !is_json(got) {
+        return Err(unsupported());
+    }
+    let arrived = tokio::time::timeout(app.config.http.body_timeout, Bytes::from_request(request, &()));
+    let body = arrived.await.map_err(|_| Problem::BodyTimeout)?.map_err(|rejection| refused_body(app, &rejection))?;
+    if !body.is_empty() && content_type.is_none() {
+        return Err(unsupported());
+    }
+    Ok(body)
+}
+
+fn is_json(content_type: &str) -> bool {
+    mediatype::MediaType::parse(content_type)
+        .is_ok_and(|media| media.ty == "application" && media.subty == "json" && media.suffix.is_none())
+}
+
+fn refused_body(app: &App, rejection: &BytesRejection) -> Problem {
+    match rejection.status() {
+        StatusCode::PAYLOAD_TOO_LARGE => Problem::BodyTooLarge { limit: app.config.http.max_body_bytes.get() },
+        _ => Problem::Malformed(rejection.body_text()),
+    }
+}
+
+/// A frame that can be had, with all that it depends on.
+struct Asked {
+    arrived: Instant,
+    id: String,
+    volume: Arc<LoadedVolume>,
+    frame: ResolvedRequest,
+    format: Format,
+    etag: String,
+}
+
+/// A frame and what it took.
+struct Made {
+    size: [u32; 3],
+    bytes: Vec<u8>,
+    queue: Duration,
+    prepare: Duration,
+    stages: Timings,
+    encode: Duration,
+}
+
+impl Asked {
+    /// The last step that refuses; nothing has been queued or built for the request before it.
+    fn new(
+        app: &App,
+        id: String,
+        volume: Arc<LoadedVolume>,
+        request: RenderRequest,
+        format: Format,
+    ) -> Result<Self, Problem> {
+        let arrived = Instant::now();
+        let request = request.with_format(format)?;
+        let frame = request.resolve(volume.volume(), volume.modality.as_deref(), &app.config.image.limits())?;
+        let etag = etag(&volume, &frame, format);
+        Ok(Self { arrived, id, volume, frame, format, etag })
+    }
+
+    /// Renders within the deadline. Dropping this future, as the server does when the client
+    /// leaves, cancels the work.
+    async fn rendered(self, app: &App) -> Result<Response, Problem> {
+        let ticket = app.pool.admit()?;
+        let making = self.make(app, &ticket);
+        let made = tokio::time::timeout(app.config.render.deadline, making).await.map_err(|_| Problem::Deadline)??;
+        Ok(self.answer(made))
+    }
+
+    async fn make(&self, app: &App, ticket: &Ticket) -> Result<Made, Problem> {
+        let start = Instant::now();
+        let classified = match self.frame.settings.algorithm {
+            Algorithm::Raycast => None,
+            Algorithm::Classified => {
+                let classification = Classification::of(&self.frame);
+                Some(app.store.classified(ticket, &self.volume, classification, false).await?)
+            }
+        };
+        let prepare = start.elapsed();
+        let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
+        let job = move |cancel: &render::Cancel| {
+            let scene =
+                Scene { prepared: &volume.prepared, transfer: &frame.transfer, classified: classified.as_deref() };
+            let (image, stages) = render::render(&scene, &frame.view, &frame.settings, cancel)?;
+            let start = Instant::now();
+            let bytes = encode(&image, format).map_err(|error| {
+                tracing::error!(%error, "a frame could not be encoded");
+                Problem::Internal("the frame could not be encoded")
+            })?;
+            Ok::<_, Problem>((image_size(&image), bytes, stages, start.elapsed()))
+        };
+        let (outcome, queue) = ticket.run(job).await?;
+        let (size, bytes, stages, encode) = outcome?;
+        Ok(Made { size, bytes, queue, prepare, stages, encode })
+    }
+
+    fn answer(&self, made: Made) -> Response {
+        let stages = [
+            ("queue", made.queue),
+            ("prepare", made.prepare),
+            ("shade", made.stages.shade),
+            ("composite", made.stages.composite),
+            ("warp", made.stages.warp),
+            ("encode", made.encode),
+            ("total", self.arrived.elapsed()),
+        ];
+        stages.iter().for_each(|(stage, duration)| metrics::stage(stage, *duration));
+        let timing = stages.map(|(stage, duration)| format!("{stage};dur={:.3}", duration.as_secs_f64() * 1000.0));
+        let algorithm = self.frame.settings.algorithm.name();
+        let mut response = Body::from(made.bytes).into_response();
+        response.extensions_mut().insert(Rendered { volume: self.id.clone(), algorithm });
+        let headers = response.headers_mut();
+        self.validators(headers);
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(self.format.media_type()));
+        headers.insert(SERVER_TIMING, ascii(&timing.join(", ")));
+        headers.insert(ALGORITHM, HeaderValue::from_static(algorithm));
+        if self.format == Format::Raw {
+            RAW_HEADERS.into_iter().zip(made.size).for_each(|(name, value)| drop(headers.insert(name, value.into())));
+        }
+        response
+    }
+
+    fn not_modified(&self) -> Response {
+        let mut response = StatusCode::NOT_MODIFIED.into_response();
+        self.validators(response.headers_mut());
+        response
+    }
+
+    /// What 200 and 304 have in common.
+    fn validators(&self, headers: &mut HeaderMap) {
+        headers.insert(header::ETAG, ascii(&self.etag));
+        headers.insert(header::VARY, HeaderValue::from_static("Accept"));
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static(CACHE_CONTROL));
+    }
+}
+
+/// Width, height, channels.
+fn image_size(image: &Image) -> [u32; 3] {
+    [image.width, image.height, image.channels.into()]
+}
+
+/// A strong validator: equal where every byte of the frame is. Frames are the same bit for bit
+/// whatever the number of threads, so what they are made from names them.
+fn etag(volume: &LoadedVolume, frame: &ResolvedRequest, format: Format) -> String {
+    let program = env!("CARGO_PKG_VERSION");
+    let made_from = format!("{:032x} {} {program} {}", volume.fingerprint, format.name(), frame.canonical());
+    format!("\"{:032x}\"", xxh3_128(made_from.as_bytes()))
+}
+
+fn ascii(text: &str) -> HeaderValue {
+    HeaderValue::from_str(text).expect("our own header values are visible ASCII")
+}

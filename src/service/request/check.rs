@@ -1,0 +1,297 @@
+//! Fields -> [`RenderRequest`]: ranges, and what goes with what.
+//!
+//! Every check runs and reports; the request is there only where none complained.
+
+use std::ops::{Bound, RangeBounds, RangeInclusive};
+
+use glam::{DMat4, DVec3};
+
+use super::fields::{
+    CameraFields, Either, Fields, ImageFields, LightName, LookAtFields, MatricesFields, ShadingFields,
+};
+use super::{AlgorithmChoice, InvalidField, Quality, RenderRequest, ShadingChoice, Spelling, Transfer};
+use crate::classify::{Color, TransferFunction};
+use crate::encode::{Format, Unfit};
+use crate::render::{Background, Camera, Light, LookAt, Orbit, Projection, Shading};
+
+/// Degrees: beyond, a float's steps show as jumps of the camera.
+const ANGLE: RangeInclusive<f64> = -1e6..=1e6;
+const ZOOM: RangeInclusive<f64> = 1e-3..=1e3;
+/// Degrees: at 180 the image plane is infinite.
+const FOV_Y: RangeInclusive<f64> = 1.0..=170.0;
+/// World mm: a thousand kilometres, far from where squares overflow.
+const POSITION: RangeInclusive<f64> = -1e9..=1e9;
+const VIEW_HEIGHT: RangeInclusive<f64> = 1e-6..=1e9;
+const MATRIX_ELEMENT: RangeInclusive<f64> = -1e12..=1e12;
+/// Ambient, diffuse, specular, and a light's intensity: the sum is clamped to white anyway.
+const COEFFICIENT: RangeInclusive<f64> = 0.0..=10.0;
+const SHININESS: RangeInclusive<f64> = 0.0..=1000.0;
+const MAX_LIGHTS: usize = 8;
+const EARLY_RAY_TERMINATION: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Included(1.0));
+const MIN_OPACITY: std::ops::Range<f64> = 0.0..1.0;
+/// Smallest spacings: finer is a long wait for nothing, coarser skips the volume.
+const SAMPLE_DISTANCE: RangeInclusive<f64> = 0.01..=8.0;
+const DEFAULT_SIDE: u32 = 512;
+
+pub const NO_AZIMUTH: &str = "expected an orbit camera: frames around the vertical axis start from its azimuth";
+
+/// The request that the fields make.
+///
+/// # Errors
+/// Every field at fault.
+pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
+    let mut refusals = Refusals(fields.refuse_unsupported());
+    refusals.options_of_algorithms(&fields);
+    let camera = refusals.camera(&fields.camera);
+    let (width, height, format, background) = refusals.image(&fields.image);
+    let transfer = refusals.transfer(fields.transfer_function);
+    let shading = refusals.shading(fields.shading);
+    refusals.range("/early_ray_termination", fields.early_ray_termination, EARLY_RAY_TERMINATION);
+    refusals.range("/min_opacity", fields.min_opacity, MIN_OPACITY);
+    refusals.range("/sample_distance", fields.sample_distance, SAMPLE_DISTANCE);
+    let request = RenderRequest {
+        camera,
+        width,
+        height,
+        format,
+        background,
+        transfer,
+        shading,
+        algorithm: fields.algorithm,
+        quality: fields.quality,
+        early_ray_termination: fields.early_ray_termination,
+        min_opacity: fields.min_opacity,
+        sample_distance: fields.sample_distance,
+        spelling: Spelling::Json,
+    };
+    if refusals.0.is_empty() { Ok(request) } else { Err(refusals.0) }
+}
+
+/// Whether `format` holds the image.
+///
+/// # Errors
+/// The field at fault.
+pub fn fit(format: Format, width: u32, height: u32, alpha: bool) -> Result<(), InvalidField> {
+    format.holds(width, height, alpha).map_err(|unfit| {
+        let pointer = match unfit {
+            Unfit::Alpha => "/image/background",
+            Unfit::Side { .. } if width >= height => "/image/width",
+            Unfit::Side { .. } => "/image/height",
+        };
+        InvalidField { pointer: pointer.into(), detail: unfit.to_string() }
+    })
+}
+
+/// What was wrong so far.
+struct Refusals(Vec<InvalidField>);
+
+impl Refusals {
+    fn refuse(&mut self, pointer: impl Into<String>, detail: impl Into<String>) {
+        self.0.push(InvalidField { pointer: pointer.into(), detail: detail.into() });
+    }
+
+    /// Refuses what is there and out of range.
+    fn range(&mut self, pointer: impl Into<String>, value: Option<f64>, range: impl RangeBounds<f64>) {
+        if let Some(got) = value.filter(|v| !range.contains(v)) {
+            let end = |bound: Bound<&f64>, excluded: &str| match bound {
+                Bound::Included(end) => format!("{end}"),
+                Bound::Excluded(end) => format!("{excluded} {end}"),
+                Bound::Unbounded => "any".into(),
+            };
+            let (low, high) = (end(range.start_bound(), "above"), end(range.end_bound(), "below"));
+            self.refuse(pointer, format!("expected {low} to {high}, got {got}"));
+        }
+    }
+
+    /// Refuses elements out of range, each by its index.
+    fn elements(&mut self, pointer: &str, values: &[f64], range: &RangeInclusive<f64>) {
+        for (index, value) in values.iter().enumerate() {
+            self.range(format!("{pointer}/{index}"), Some(*value), range.clone());
+        }
+    }
+
+    fn vector(&mut self, pointer: &str, vector: [f64; 3]) -> DVec3 {
+        self.elements(pointer, &vector, &POSITION);
+        DVec3::from_array(vector)
+    }
+
+    fn camera(&mut self, camera: &CameraFields) -> Camera {
+        let orbit_fields = [
+            ("azimuth", camera.azimuth.is_some()),
+            ("elevation", camera.elevation.is_some()),
+            ("roll", camera.roll.is_some()),
+            ("zoom", camera.zoom.is_some()),
+            ("target", camera.target.is_some()),
+        ];
+        let told_by = match (&camera.look_at, &camera.matrices) {
+            (None, None) => None,
+            (Some(_), _) => Some("look_at"),
+            (None, Some(_)) => Some("matrices"),
+        };
+        if let Some(told_by) = told_by {
+            for (name, _) in orbit_fields.iter().filter(|(_, there)| *there) {
+                self.refuse(
+                    format!("/camera/{name}"),
+                    format!("belongs to an orbit, but the camera is told by {told_by}"),
+                );
+            }
+        }
+        self.range("/camera/fov_y", camera.fov_y, FOV_Y);
+        self.range("/camera/view_height", camera.view_height, VIEW_HEIGHT);
+        if camera.view_height.is_some() && camera.look_at.is_none() {
+            self.refuse("/camera/view_height", "belongs to look_at; an orbit has zoom");
+        }
+        match (&camera.look_at, &camera.matrices) {
+            (Some(_), Some(_)) => {
+                self.refuse("/camera/matrices", "expected one of orbit, look_at and matrices, got two");
+                Camera::Orbit(Orbit::default())
+            }
+            (Some(look), None) => Camera::LookAt(self.look_at(camera, look)),
+            (None, Some(matrices)) => self.matrices(camera, matrices),
+            (None, None) => Camera::Orbit(self.orbit(camera)),
+        }
+    }
+
+    fn orbit(&mut self, camera: &CameraFields) -> Orbit {
+        let default = Orbit::default();
+        self.range("/camera/azimuth", camera.azimuth, ANGLE);
+        self.range("/camera/elevation", camera.elevation, ANGLE);
+        self.range("/camera/roll", camera.roll, ANGLE);
+        self.range("/camera/zoom", camera.zoom, ZOOM);
+        Orbit {
+            projection: camera.projection.map_or(default.projection, Projection::from),
+            azimuth: camera.azimuth.unwrap_or(default.azimuth),
+            elevation: camera.elevation.unwrap_or(default.elevation),
+            roll: camera.roll.unwrap_or(default.roll),
+            zoom: camera.zoom.unwrap_or(default.zoom),
+            fov_y: camera.fov_y.unwrap_or(default.fov_y),
+            target: camera.target.map(|target| self.vector("/camera/target", target)),
+        }
+    }
+
+    fn look_at(&mut self, camera: &CameraFields, look: &LookAtFields) -> LookAt {
+        let default = Orbit::default();
+        LookAt {
+            projection: camera.projection.map_or(default.projection, Projection::from),
+            position: self.vector("/camera/look_at/position", look.position),
+            target: self.vector("/camera/look_at/target", look.target),
+            up: look.up.map_or(DVec3::Z, |up| self.vector("/camera/look_at/up", up)),
+            view_height: camera.view_height,
+            fov_y: camera.fov_y.unwrap_or(default.fov_y),
+        }
+    }
+
+    fn matrices(&mut self, camera: &CameraFields, matrices: &MatricesFields) -> Camera {
+        for (name, there) in [("projection", camera.projection.is_some()), ("fov_y", camera.fov_y.is_some())] {
+            if there {
+                self.refuse(format!("/camera/{name}"), "the projection matrix says it already");
+            }
+        }
+        self.elements("/camera/matrices/view", &matrices.view, &MATRIX_ELEMENT);
+        self.elements("/camera/matrices/projection", &matrices.projection, &MATRIX_ELEMENT);
+        Camera::Matrices {
+            view: DMat4::from_cols_array(&matrices.view),
+            projection: DMat4::from_cols_array(&matrices.projection),
+        }
+    }
+
+    fn image(&mut self, image: &ImageFields) -> (u32, u32, Option<Format>, Background) {
+        let (width, height) = (image.width.unwrap_or(DEFAULT_SIDE), image.height.unwrap_or(DEFAULT_SIDE));
+        for (name, side) in [("width", width), ("height", height)] {
+            if side == 0 {
+                self.refuse(format!("/image/{name}"), "expected at least 1 pixel, got 0");
+            }
+        }
+        let background = match image.background.as_deref() {
+            None => Background::Opaque([0.0; 3]),
+            Some("transparent") => Background::Transparent,
+            Some(text) => match Color::from_hex(text) {
+                Some(Color(color)) => Background::Opaque(color),
+                None => {
+                    self.refuse("/image/background", "expected \"#rrggbb\" or \"transparent\"");
+                    Background::Transparent
+                }
+            },
+        };
+        let format = image.format.as_deref().and_then(|name| {
+            let format = Format::from_name(name);
+            if format.is_none() {
+                let names = Format::ALL.map(Format::name).join(", ");
+                self.refuse("/image/format", format!("expected one of {names}"));
+            }
+            format
+        });
+        if let Some(Err(field)) = format.map(|f| fit(f, width, height, background == Background::Transparent)) {
+            self.0.push(field);
+        }
+        (width, height, format, background)
+    }
+
+    fn transfer(&mut self, transfer: Option<Either<String, TransferFunction>>) -> Transfer {
+        match transfer {
+            None => Transfer::Automatic,
+            Some(Either::Short(name)) => Transfer::Preset(name),
+            Some(Either::Full(transfer)) => {
+                for field in transfer.validate() {
+                    self.refuse(format!("/transfer_function{}", field.pointer), field.detail);
+                }
+                Transfer::Given(transfer)
+            }
+        }
+    }
+
+    fn shading(&mut self, shading: Option<Either<bool, ShadingFields>>) -> ShadingChoice {
+        let fields = match shading {
+            None => return ShadingChoice::Automatic,
+            Some(Either::Short(false)) => return ShadingChoice::Off,
+            Some(Either::Short(true)) => return ShadingChoice::On(Shading::default()),
+            Some(Either::Full(fields)) => fields,
+        };
+        let default = Shading::default();
+        self.range("/shading/ambient", fields.ambient, COEFFICIENT);
+        self.range("/shading/diffuse", fields.diffuse, COEFFICIENT);
+        self.range("/shading/specular", fields.specular, COEFFICIENT);
+        self.range("/shading/shininess", fields.shininess, SHININESS);
+        let lights = fields.lights.map_or(default.lights, |lights| {
+            if lights.len() > MAX_LIGHTS {
+                self.refuse("/shading/lights", format!("expected at most {MAX_LIGHTS} lights, got {}", lights.len()));
+            }
+            lights.iter().enumerate().map(|(index, light)| self.light(index, light)).collect()
+        });
+        ShadingChoice::On(Shading {
+            ambient: fields.ambient.unwrap_or(default.ambient),
+            diffuse: fields.diffuse.unwrap_or(default.diffuse),
+            specular: fields.specular.unwrap_or(default.specular),
+            shininess: fields.shininess.unwrap_or(default.shininess),
+            lights,
+        })
+    }
+
+    fn light(&mut self, index: usize, light: &Either<LightName, super::fields::LightFields>) -> Light {
+        let light = match light {
+            Either::Short(LightName::Headlight) => return Light::Headlight,
+            Either::Full(light) => light,
+        };
+        let pointer = format!("/shading/lights/{index}");
+        self.range(format!("{pointer}/intensity"), light.intensity, COEFFICIENT);
+        let direction = self.vector(&format!("{pointer}/direction"), light.direction).try_normalize();
+        if direction.is_none() {
+            self.refuse(format!("{pointer}/direction"), "expected a direction of length above 0");
+        }
+        Light::Directional { direction: direction.unwrap_or(DVec3::Z), intensity: light.intensity.unwrap_or(1.0) }
+    }
+
+    /// Options that another algorithm would not look at. `auto` may come to need any of them.
+    fn options_of_algorithms(&mut self, fields: &Fields) {
+        use AlgorithmChoice::{Auto, Classified, FastClassification, Raycast};
+        if fields.min_opacity.is_some() && !matches!(fields.algorithm, Auto | Classified | FastClassification) {
+            self.refuse("/min_opacity", "belongs to classified and fast-classification");
+        }
+        if fields.sample_distance.is_some() && !matches!(fields.algorithm, Auto | Raycast) {
+            self.refuse("/sample_distance", "belongs to raycast");
+        }
+        if fields.quality == Quality::High && fields.algorithm == Classified {
+            self.refuse("/quality", "classified renders draft and standard only");
+        }
+    }
+}

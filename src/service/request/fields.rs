@@ -1,0 +1,187 @@
+//! The request as it is written: every field, its type, and nothing about ranges.
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::value::{BoolDeserializer, MapAccessDeserializer, StrDeserializer};
+use serde::de::{self, Deserialize, Deserializer, IgnoredAny, MapAccess, Visitor};
+
+use super::{AlgorithmChoice, InvalidField, Quality};
+use crate::classify::TransferFunction;
+use crate::render::Projection;
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Fields {
+    pub camera: CameraFields,
+    pub image: ImageFields,
+    pub transfer_function: Option<Either<String, TransferFunction>>,
+    pub shading: Option<Either<bool, ShadingFields>>,
+    pub blend: Option<Blend>,
+    pub window: Option<IgnoredAny>,
+    pub algorithm: AlgorithmChoice,
+    pub quality: Quality,
+    pub early_ray_termination: Option<f64>,
+    pub min_opacity: Option<f64>,
+    pub sample_distance: Option<f64>,
+    pub depth_cueing: Option<IgnoredAny>,
+    pub preintegration: Option<IgnoredAny>,
+}
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CameraFields {
+    pub projection: Option<ProjectionName>,
+    pub azimuth: Option<f64>,
+    pub elevation: Option<f64>,
+    pub roll: Option<f64>,
+    pub zoom: Option<f64>,
+    pub fov_y: Option<f64>,
+    pub target: Option<[f64; 3]>,
+    pub look_at: Option<LookAtFields>,
+    pub view_height: Option<f64>,
+    pub matrices: Option<MatricesFields>,
+}
+
+#[derive(Clone, Copy, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ProjectionName {
+    Parallel,
+    Perspective,
+}
+
+impl From<ProjectionName> for Projection {
+    fn from(name: ProjectionName) -> Self {
+        match name {
+            ProjectionName::Parallel => Self::Parallel,
+            ProjectionName::Perspective => Self::Perspective,
+        }
+    }
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LookAtFields {
+    pub position: [f64; 3],
+    pub target: [f64; 3],
+    /// Superior unless told.
+    pub up: Option<[f64; 3]>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MatricesFields {
+    pub view: [f64; 16],
+    pub projection: [f64; 16],
+}
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ImageFields {
+    pub width: Option<u32>,
+    pub height: Option<u32>,
+    pub format: Option<String>,
+    pub background: Option<String>,
+}
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ShadingFields {
+    pub ambient: Option<f64>,
+    pub diffuse: Option<f64>,
+    pub specular: Option<f64>,
+    pub shininess: Option<f64>,
+    pub lights: Option<Vec<Either<LightName, LightFields>>>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LightName {
+    Headlight,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightFields {
+    pub direction: [f64; 3],
+    pub intensity: Option<f64>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Blend {
+    Composite,
+    Maximum,
+    Minimum,
+    Average,
+}
+
+impl Fields {
+    /// Fields of the API that this version does not do yet, each with whether the request uses it.
+    pub fn refuse_unsupported(&self) -> Vec<InvalidField> {
+        let algorithm = matches!(self.algorithm, AlgorithmChoice::FastClassification | AlgorithmChoice::Preintegrated);
+        let asked = [
+            ("/algorithm", algorithm),
+            ("/blend", self.blend.is_some_and(|blend| blend != Blend::Composite)),
+            ("/window", self.window.is_some()),
+            ("/depth_cueing", self.depth_cueing.is_some()),
+            ("/preintegration", self.preintegration.is_some()),
+        ];
+        let refusal =
+            |pointer: &str| InvalidField { pointer: pointer.into(), detail: "not supported by this version".into() };
+        asked.into_iter().filter(|(_, used)| *used).map(|(pointer, _)| refusal(pointer)).collect()
+    }
+}
+
+/// A word for short (a name, or true and false), or an object in full.
+pub enum Either<Short, Full> {
+    Short(Short),
+    Full(Full),
+}
+
+/// What stands for an object in short.
+pub trait Word {
+    /// Completes "expected ...".
+    const EXPECTED: &'static str;
+}
+
+impl Word for bool {
+    const EXPECTED: &'static str = "true, false or an object";
+}
+
+impl Word for String {
+    const EXPECTED: &'static str = "a name or an object";
+}
+
+impl Word for LightName {
+    const EXPECTED: &'static str = "\"headlight\" or an object";
+}
+
+impl<'de, Short: Word + Deserialize<'de>, Full: Deserialize<'de>> Deserialize<'de> for Either<Short, Full> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(EitherVisitor(PhantomData))
+    }
+}
+
+/// Unlike serde's untagged enums it says which field of `Full` is wrong.
+struct EitherVisitor<Short, Full>(PhantomData<(Short, Full)>);
+
+impl<'de, Short: Word + Deserialize<'de>, Full: Deserialize<'de>> Visitor<'de> for EitherVisitor<Short, Full> {
+    type Value = Either<Short, Full>;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(Short::EXPECTED)
+    }
+
+    fn visit_bool<E: de::Error>(self, value: bool) -> Result<Self::Value, E> {
+        Short::deserialize(BoolDeserializer::new(value)).map(Either::Short)
+    }
+
+    fn visit_str<E: de::Error>(self, value: &str) -> Result<Self::Value, E> {
+        Short::deserialize(StrDeserializer::new(value)).map(Either::Short)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+        Full::deserialize(MapAccessDeserializer::new(map)).map(Either::Full)
+    }
+}

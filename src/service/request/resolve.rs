@@ -1,0 +1,327 @@
+//! [`RenderRequest`] + volume -> what the renderer takes, with every default filled in.
+
+use super::{AlgorithmChoice, InvalidField, Quality, RenderRequest, RequestError, ShadingChoice, Transfer};
+use crate::classify::{TransferFunction, presets};
+use crate::encode::Format;
+use crate::render::{self, Algorithm, Projection, RenderError, Settings, Shading, View};
+use crate::volume::Volume;
+
+/// Accumulated opacity at which a pixel is done: what is left of the light would change an 8-bit
+/// channel by up to 5 (draft), 3 (standard), or nothing (reference).
+const TERMINATION_DRAFT: f64 = 0.98;
+const TERMINATION_STANDARD: f64 = 0.99;
+const TERMINATION_REFERENCE: f64 = 0.9999;
+/// Half of what shows in one voxel on an 8-bit display.
+const MIN_OPACITY: f64 = 0.002;
+/// In smallest spacings: two samples per voxel, as sampling theory asks for.
+const SAMPLE_DISTANCE: f64 = 0.5;
+const SAMPLE_DISTANCE_HIGH: f64 = 0.125;
+
+/// How large an image may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageLimits {
+    /// Pixels across or down.
+    pub max_side: u32,
+    /// Pixels in all.
+    pub max_pixels: u64,
+}
+
+/// A request on a volume, ready to render.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResolvedRequest {
+    pub view: View,
+    pub settings: Settings,
+    /// Its `opacity_distance` is told.
+    pub transfer: TransferFunction,
+    /// Voxels at or below it count as transparent (for [`Algorithm::Classified`]).
+    pub min_opacity: f64,
+    pub quality: Quality,
+    /// `None`: the request leaves it open.
+    pub format: Option<Format>,
+}
+
+impl RenderRequest {
+    /// The request on `volume`, whose modality is free text, if known.
+    ///
+    /// # Errors
+    /// [`RequestError::Refused`] for an image over the limits, an unknown preset, a degenerate
+    /// camera, and what the algorithm does not do.
+    pub fn resolve(
+        &self,
+        volume: &Volume,
+        modality: Option<&str>,
+        limits: &ImageLimits,
+    ) -> Result<ResolvedRequest, RequestError> {
+        self.resolve_json(volume, modality, limits).map_err(|error| error.spelled(self.spelling))
+    }
+
+    /// What the camera sees of `volume`. Pointers are those of the JSON request.
+    ///
+    /// # Errors
+    /// For a degenerate camera, which an orbit never is.
+    pub fn view(&self, volume: &Volume) -> Result<View, RequestError> {
+        View::new(&self.camera, volume.centre(), volume.radius(), self.width, self.height)
+            .map_err(|e| RequestError::refused(&format!("/camera{}", e.pointer()), e.to_string()))
+    }
+
+    /// Pointers are those of the JSON request.
+    fn resolve_json(
+        &self,
+        volume: &Volume,
+        modality: Option<&str>,
+        limits: &ImageLimits,
+    ) -> Result<ResolvedRequest, RequestError> {
+        self.keep_to(limits)?;
+        let view = self.view(volume)?;
+        let (mut transfer, shaded) = self.transfer(volume, modality)?;
+        transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
+        let algorithm = self.algorithm(&view);
+        let shading = match &self.shading {
+            ShadingChoice::Automatic => shaded.then(Shading::default),
+            ShadingChoice::Off => None,
+            ShadingChoice::On(shading) => Some(shading.clone()),
+        };
+        let settings = Settings {
+            algorithm,
+            background: self.background,
+            shading,
+            early_ray_termination: self.early_ray_termination.unwrap_or_else(|| termination(algorithm, self.quality))
+                as f32,
+            sample_distance: self.sample_distance.unwrap_or(match self.quality {
+                Quality::Draft | Quality::Standard => SAMPLE_DISTANCE,
+                Quality::High => SAMPLE_DISTANCE_HIGH,
+            }),
+            skipping: true,
+        };
+        render::check(volume, &view, &settings).map_err(refused)?;
+        let min_opacity = self.min_opacity.unwrap_or(MIN_OPACITY);
+        Ok(ResolvedRequest { view, settings, transfer, min_opacity, quality: self.quality, format: self.format })
+    }
+
+    fn keep_to(&self, limits: &ImageLimits) -> Result<(), RequestError> {
+        let (width, height) = (self.width, self.height);
+        let sides = [("/image/width", width), ("/image/height", height)];
+        let mut refused: Vec<_> = sides
+            .into_iter()
+            .filter(|(_, side)| *side > limits.max_side)
+            .map(|(pointer, side)| InvalidField {
+                pointer: pointer.into(),
+                detail: format!("expected at most {} pixels, got {side}", limits.max_side),
+            })
+            .collect();
+        if refused.is_empty() && u64::from(width) * u64::from(height) > limits.max_pixels {
+            let detail = format!("expected at most {} pixels in all, got {width} x {height}", limits.max_pixels);
+            refused.push(InvalidField { pointer: "/image/width".into(), detail });
+        }
+        if refused.is_empty() { Ok(()) } else { Err(RequestError::Refused(refused)) }
+    }
+
+    /// The transfer function, and whether it asks for shading.
+    fn transfer(&self, volume: &Volume, modality: Option<&str>) -> Result<(TransferFunction, bool), RequestError> {
+        match &self.transfer {
+            Transfer::Automatic => {
+                let choice = presets::default_for(volume, modality);
+                Ok((choice.transfer, choice.shading))
+            }
+            Transfer::Preset(name) => {
+                let preset = presets::get(name).ok_or_else(|| {
+                    let names: Vec<_> = presets::all().iter().map(|preset| preset.name.as_str()).collect();
+                    let detail = format!("unknown preset, expected one of {}", names.join(", "));
+                    RequestError::refused("/transfer_function", detail)
+                })?;
+                Ok((preset.transfer_function(volume), preset.shading))
+            }
+            Transfer::Given(transfer) => Ok((transfer.clone(), true)),
+        }
+    }
+
+    /// `auto` is resolved from the request alone.
+    fn algorithm(&self, view: &View) -> Algorithm {
+        match self.algorithm {
+            AlgorithmChoice::Classified => Algorithm::Classified,
+            AlgorithmChoice::Auto if self.quality != Quality::High && view.projection() == Projection::Parallel => {
+                Algorithm::Classified
+            }
+            _ => Algorithm::Raycast,
+        }
+    }
+}
+
+impl ResolvedRequest {
+    /// All that the pixels depend on besides the volume, as text: the same for requests that mean the
+    /// same, however they were written. The format is left out, being known only after negotiation.
+    pub fn canonical(&self) -> String {
+        let Settings { algorithm, background, shading, early_ray_termination, sample_distance, skipping: _ } =
+            &self.settings;
+        let option = match algorithm {
+            Algorithm::Classified => format!("min_opacity {:?}", self.min_opacity),
+            Algorithm::Raycast => format!("sample_distance {sample_distance:?}"),
+        };
+        // Debug writes floats with as many digits as tell them apart.
+        format!(
+            "{:?} {} {option} early_ray_termination {early_ray_termination:?} {background:?} {shading:?} {:?}",
+            self.view,
+            algorithm.name(),
+            self.transfer
+        )
+    }
+}
+
+fn termination(algorithm: Algorithm, quality: Quality) -> f64 {
+    match (algorithm, quality) {
+        (Algorithm::Raycast, _) | (_, Quality::High) => TERMINATION_REFERENCE,
+        (_, Quality::Draft) => TERMINATION_DRAFT,
+        (_, Quality::Standard) => TERMINATION_STANDARD,
+    }
+}
+
+fn refused(error: RenderError) -> RequestError {
+    match error {
+        RenderError::Unsupported { pointer, detail } => RequestError::refused(pointer, detail),
+        RenderError::Cancelled => unreachable!("a check cannot be cancelled"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::volume::{ImportReport, Placement, ScalarType, Scalars};
+
+    const LIMITS: ImageLimits = ImageLimits { max_side: 4096, max_pixels: 4096 * 2048 };
+
+    fn volume() -> Volume {
+        let scalars = Scalars::U8((0..5 * 6 * 7).map(|i| i as u8).collect());
+        let placement = Placement::from_spacing(DVec3::new(1.0, 0.5, 2.0));
+        Volume::new([5, 6, 7], placement, scalars, (1.0, 0.0), ImportReport::plain("test", ScalarType::U8)).unwrap()
+    }
+
+    fn resolve(json: &str) -> Result<ResolvedRequest, RequestError> {
+        RenderRequest::from_json(json.as_bytes())?.resolve(&volume(), None, &LIMITS)
+    }
+
+    fn pointer(result: Result<ResolvedRequest, RequestError>) -> String {
+        match result {
+            Err(RequestError::Refused(fields)) => fields[0].pointer.clone(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_empty_request_has_every_default() {
+        let resolved = resolve("{}").unwrap();
+        assert_eq!(resolved.view.size(), (512, 512));
+        assert_eq!(resolved.settings.algorithm, Algorithm::Classified);
+        assert_eq!(resolved.settings.shading, Some(Shading::default()));
+        assert_eq!(resolved.settings.early_ray_termination, 0.99);
+        assert_eq!(resolved.min_opacity, 0.002);
+        assert_eq!(resolved.transfer.opacity_distance, Some(0.5));
+        assert_eq!(resolved.format, None);
+    }
+
+    #[test]
+    fn auto_is_classified_for_parallel_frames_below_high_quality() {
+        let algorithm = |json| resolve(json).unwrap().settings.algorithm;
+        assert_eq!(algorithm(r#"{"quality": "draft"}"#), Algorithm::Classified);
+        assert_eq!(algorithm(r#"{"quality": "high"}"#), Algorithm::Raycast);
+        assert_eq!(algorithm(r#"{"camera": {"projection": "perspective"}}"#), Algorithm::Raycast);
+        assert_eq!(algorithm(r#"{"algorithm": "raycast"}"#), Algorithm::Raycast);
+    }
+
+    #[test]
+    fn quality_sets_termination_and_sample_distance() {
+        let settings = |json| resolve(json).unwrap().settings;
+        assert_eq!(settings(r#"{"quality": "draft"}"#).early_ray_termination, 0.98);
+        assert_eq!(settings(r#"{"algorithm": "raycast"}"#).early_ray_termination, 0.9999);
+        assert_eq!(settings(r#"{"algorithm": "raycast"}"#).sample_distance, 0.5);
+        assert_eq!(settings(r#"{"quality": "high"}"#).sample_distance, 0.125);
+        assert_eq!(settings(r#"{"quality": "high", "sample_distance": 1}"#).sample_distance, 1.0);
+    }
+
+    #[test]
+    fn equal_requests_written_differently_have_one_canonical_text() {
+        let canonical = |json: &str| resolve(json).unwrap().canonical();
+        let equal = [
+            r#"{}"#,
+            r#"{"camera": {"azimuth": -0.0, "zoom": 1.0}, "quality": "standard"}"#,
+            r##"{"camera": {"azimuth": 360}, "image": {"background": "#000000", "format": "png", "width": 512.0}}"##,
+            r#"{"early_ray_termination": 0.99, "min_opacity": 2e-3, "sample_distance": 3, "algorithm": "auto"}"#,
+            r#"{"shading": {"lights": ["headlight"]}, "algorithm": "classified"}"#,
+        ];
+        for json in equal {
+            assert_eq!(canonical(json), canonical("{}"), "{json}");
+        }
+        let given = |distance: &str, light: &str| {
+            canonical(&format!(
+                r##"{{"transfer_function": {{"points": [{{"value": 1, "opacity": 0.5, "color": "#Ff0000"}}] {distance}}},
+                "shading": {{"lights": [{{"direction": {light}}}]}}}}"##
+            ))
+        };
+        assert_eq!(given("", "[0, 0, 2]"), given(r#", "opacity_distance": 0.5"#, "[0, 0, 1]"));
+    }
+
+    #[test]
+    fn whatever_changes_the_pixels_changes_the_canonical_text() {
+        let different = [
+            r#"{}"#,
+            r#"{"camera": {"azimuth": 1e-9}}"#,
+            r#"{"image": {"width": 511}}"#,
+            r#"{"image": {"background": "transparent"}}"#,
+            r##"{"image": {"background": "#000001"}}"##,
+            r#"{"shading": false}"#,
+            r#"{"shading": {"ambient": 0.3}}"#,
+            r#"{"algorithm": "raycast"}"#,
+            r#"{"algorithm": "raycast", "sample_distance": 0.4}"#,
+            r#"{"early_ray_termination": 1}"#,
+            r#"{"min_opacity": 0}"#,
+            r##"{"transfer_function": {"points": [{"value": 1, "opacity": 0.5, "color": "#ff0000"}]}}"##,
+        ];
+        let texts: std::collections::HashSet<_> =
+            different.iter().map(|json| resolve(json).unwrap().canonical()).collect();
+        assert_eq!(texts.len(), different.len());
+    }
+
+    #[test]
+    fn images_over_the_limits_are_refused() {
+        assert_eq!(pointer(resolve(r#"{"image": {"width": 100000, "height": 100000}}"#)), "/image/width");
+        assert_eq!(pointer(resolve(r#"{"image": {"height": 4097}}"#)), "/image/height");
+        let many = resolve(r#"{"image": {"height": 4096, "width": 4096}}"#).unwrap_err();
+        assert!(many.to_string().contains("in all"), "{many}");
+    }
+
+    #[test]
+    fn an_unknown_preset_is_refused_with_the_names_there_are() {
+        let refused = resolve(r#"{"transfer_function": "no-such"}"#).unwrap_err().to_string();
+        assert!(refused.starts_with("/transfer_function: ") && refused.contains("gray-ramp"), "{refused}");
+        let query = RenderRequest::from_query("preset=no-such").unwrap();
+        assert_eq!(pointer(query.resolve(&volume(), None, &LIMITS)), "/preset");
+    }
+
+    #[test]
+    fn cameras_without_a_view_are_refused_by_their_field() {
+        let look = r#"{"camera": {"look_at": {"position": [0, 0, 9], "target": [0, 0, 0]}}}"#;
+        assert_eq!(pointer(resolve(look)), "/camera/look_at");
+        let zeros = [0; 16];
+        let matrices = format!(r#"{{"camera": {{"matrices": {{"view": {zeros:?}, "projection": {zeros:?}}}}}}}"#);
+        assert_eq!(pointer(resolve(&matrices)), "/camera/matrices/view");
+    }
+
+    #[test]
+    fn classified_refuses_perspective() {
+        let json = r#"{"algorithm": "classified", "camera": {"projection": "perspective"}}"#;
+        assert_eq!(pointer(resolve(json)), "/camera/projection");
+    }
+
+    #[test]
+    fn a_query_resolves_like_its_json() {
+        let json = r##"{"camera": {"azimuth": 30, "fov_y": 40, "projection": "perspective"}, "image": {"width": 64,
+            "background": "#102030"}, "transfer_function": "gray-ramp", "shading": false, "quality": "draft"}"##;
+        let rest =
+            "azimuth=30.0&fov_y=4e1&projection=perspective&width=64&preset=gray-ramp&shading=false&quality=draft";
+        for background in ["102030", "%23102030"] {
+            let query = RenderRequest::from_query(&format!("{rest}&background={background}")).unwrap();
+            assert_eq!(query.resolve(&volume(), None, &LIMITS).unwrap(), resolve(json).unwrap());
+        }
+    }
+}

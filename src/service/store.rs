@@ -1,0 +1,280 @@
+//! The volumes that are served, and the classified volumes made from them.
+//!
+//! A volume is loaded once and stays. A classified volume depends on a transfer function that a
+//! client may send anew with every request, so these are a cache: weighed in bytes, the least
+//! recently used go first. Requests that need the same one at the same time share one build. The
+//! build belongs to none of them: it runs on to its end in a task of its own, on the place in the
+//! queue of the request that began it, for a client that leaves would otherwise take the work of
+//! all who wait with it.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
+
+use moka::future::Cache;
+use moka::policy::EvictionPolicy;
+use xxhash_rust::xxh3::Xxh3;
+
+use super::cache_folder::CacheFolder;
+use super::error::Problem;
+use super::metrics;
+use super::render_pool::{PoolError, Ticket};
+use super::request::ResolvedRequest;
+use crate::classify::presets;
+use crate::classify::{ClassifiedVolume, TransferFunction};
+use crate::volume::histogram::Histogram;
+use crate::volume::{PreparedVolume, Scalars, Volume};
+
+/// Where a volume comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The built-in head.
+    Demo,
+    File(PathBuf),
+}
+
+/// A volume that was configured, loaded or not.
+#[derive(Debug)]
+pub struct Entry {
+    /// What requests call it.
+    pub id: String,
+    /// What people call it.
+    pub name: String,
+    pub source: Source,
+    /// As the operator wrote it (CT, MR, ...).
+    pub modality: Option<String>,
+    state: OnceLock<Result<Arc<LoadedVolume>, String>>,
+}
+
+/// Whether a volume can be rendered.
+#[derive(Clone, Debug)]
+pub enum Status {
+    Loading,
+    Ready(Arc<LoadedVolume>),
+    /// With the reason.
+    Failed(String),
+}
+
+impl Entry {
+    /// A volume that is yet to be loaded.
+    pub fn new(id: String, name: String, source: Source, modality: Option<String>) -> Self {
+        Self { id, name, source, modality, state: OnceLock::new() }
+    }
+
+    /// Whether it can be rendered.
+    pub fn status(&self) -> Status {
+        match self.state.get() {
+            None => Status::Loading,
+            Some(Ok(loaded)) => Status::Ready(Arc::clone(loaded)),
+            Some(Err(reason)) => Status::Failed(reason.clone()),
+        }
+    }
+
+    /// Ends the loading; only the first end counts.
+    pub fn settle(&self, outcome: Result<Arc<LoadedVolume>, String>) {
+        let _ = self.state.set(outcome);
+    }
+}
+
+/// A volume in memory with all that is known about it before anybody asks.
+#[derive(Debug)]
+pub struct LoadedVolume {
+    pub prepared: PreparedVolume,
+    pub histogram: Histogram,
+    /// Name of the transfer function that a request gets which names none.
+    pub default_preset: &'static str,
+    pub modality: Option<String>,
+    /// Names the content: voxels, rescale and placement.
+    pub fingerprint: u128,
+}
+
+impl LoadedVolume {
+    /// Builds the structures on the current rayon pool.
+    pub fn build(volume: Volume, modality: Option<String>) -> Self {
+        let fingerprint = fingerprint(&volume);
+        let histogram = Histogram::of(&volume);
+        let default_preset = presets::default_for(&volume, modality.as_deref()).name;
+        Self { prepared: PreparedVolume::build(volume), histogram, default_preset, modality, fingerprint }
+    }
+
+    /// What was measured.
+    pub fn volume(&self) -> &Volume {
+        self.prepared.volume()
+    }
+
+    /// Bytes in memory, by structure.
+    pub fn bytes(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        self.prepared.bytes().into_iter().chain([("histogram", self.histogram.bytes())])
+    }
+}
+
+/// Names a volume by content, so that a file replaced under the same name is another volume to
+/// every cache: ours, on disk, and the clients'.
+fn fingerprint(volume: &Volume) -> u128 {
+    let mut hash = Xxh3::new();
+    for n in volume.dims() {
+        hash.update(&(n as u64).to_le_bytes());
+    }
+    let placement = volume.placement();
+    let (slope, intercept) = volume.rescale();
+    let numbers = placement.spacing.to_array().into_iter().chain(placement.direction.to_cols_array());
+    for number in numbers.chain(placement.origin.to_array()).chain([slope, intercept]) {
+        hash.update(&number.to_le_bytes());
+    }
+    match volume.scalars() {
+        Scalars::U8(codes) => {
+            hash.update(&[1]);
+            hash.update(codes);
+        }
+        Scalars::U16(codes) => {
+            hash.update(&[2]);
+            hash.update(bytemuck::cast_slice(codes));
+        }
+    }
+    hash.digest128()
+}
+
+/// What a classified volume is made from, besides the volume.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Classification {
+    pub transfer: TransferFunction,
+    pub min_opacity: f64,
+}
+
+impl Classification {
+    /// What a frame needs.
+    pub fn of(frame: &ResolvedRequest) -> Self {
+        Self { transfer: frame.transfer.clone(), min_opacity: frame.min_opacity }
+    }
+
+    /// The whole content, not a hash of it: hashes can be made to collide by whoever sends transfer
+    /// functions, and then one client would get another's picture.
+    fn key(&self, volume: &LoadedVolume) -> Arc<str> {
+        let transfer = serde_json::to_string(&self.transfer).expect("a transfer function has only string keys");
+        format!("{:032x} {:?} {transfer}", volume.fingerprint, self.min_opacity).into()
+    }
+}
+
+/// Volumes by id, classified volumes by what they are made from.
+#[derive(Debug)]
+pub struct Store {
+    entries: BTreeMap<String, Arc<Entry>>,
+    classified: Cache<Arc<str>, Arc<ClassifiedVolume>>,
+    folder: Option<CacheFolder>,
+    retry_after: u64,
+}
+
+impl Store {
+    /// A store of these volumes. Classified volumes take `classified_bytes` of memory at most.
+    pub fn new(entries: Vec<Entry>, classified_bytes: u64, folder: Option<CacheFolder>, retry_after: u64) -> Self {
+        let classified = Cache::builder()
+            .weigher(|key: &Arc<str>, classified: &Arc<ClassifiedVolume>| kib(key.len() as u64 + total(classified)))
+            .max_capacity(classified_bytes / 1024)
+            .eviction_policy(EvictionPolicy::lru())
+            .build();
+        let entries = entries.into_iter().map(|entry| (entry.id.clone(), Arc::new(entry))).collect();
+        Self { entries, classified, folder, retry_after }
+    }
+
+    /// Every volume, by id.
+    pub fn entries(&self) -> impl Iterator<Item = &Arc<Entry>> {
+        self.entries.values()
+    }
+
+    /// The volume of this id.
+    ///
+    /// # Errors
+    /// 404 where there is none.
+    pub fn entry(&self, id: &str) -> Result<&Arc<Entry>, Problem> {
+        self.entries.get(id).ok_or_else(|| Problem::NoSuchVolume(id.to_owned()))
+    }
+
+    /// The volume of this id, in memory.
+    ///
+    /// # Errors
+    /// 404 where there is none, 503 while it is loaded, 409 where it could not be.
+    pub fn loaded(&self, id: &str) -> Result<Arc<LoadedVolume>, Problem> {
+        match self.entry(id)?.status() {
+            Status::Ready(volume) => Ok(volume),
+            Status::Loading => Err(Problem::Loading { id: id.to_owned(), retry_after: self.retry_after }),
+            Status::Failed(detail) => Err(Problem::VolumeFailed { id: id.to_owned(), detail }),
+        }
+    }
+
+    /// Volumes (ready, loading, failed).
+    pub fn counts(&self) -> (usize, usize, usize) {
+        self.entries().fold((0, 0, 0), |(ready, loading, failed), entry| match entry.status() {
+            Status::Ready(_) => (ready + 1, loading, failed),
+            Status::Loading => (ready, loading + 1, failed),
+            Status::Failed(_) => (ready, loading, failed + 1),
+        })
+    }
+
+    /// Entries and bytes of the classified volumes in memory.
+    pub async fn cache_size(&self) -> (u64, u64) {
+        self.classified.run_pending_tasks().await;
+        (self.classified.entry_count(), self.classified.weighted_size() * 1024)
+    }
+
+    /// The classified volume, from memory, from the cache folder, or built by a job of `ticket`.
+    /// `keep` writes a built one to the folder: for those that the service wants again after its
+    /// next start, not for whatever a client makes up.
+    ///
+    /// # Errors
+    /// Where the build panicked.
+    pub async fn classified(
+        &self,
+        ticket: &Ticket,
+        volume: &Arc<LoadedVolume>,
+        classification: Classification,
+        keep: bool,
+    ) -> Result<Arc<ClassifiedVolume>, PoolError> {
+        let key = classification.key(volume);
+        let hit = self.classified.get(&key).await;
+        metrics::classified_cache(hit.is_some());
+        if let Some(classified) = hit {
+            return Ok(classified);
+        }
+        let (cache, folder, volume, ticket) =
+            (self.classified.clone(), self.folder.clone(), Arc::clone(volume), ticket.clone());
+        let build = tokio::spawn(async move {
+            let name = Arc::clone(&key);
+            let job = move || Arc::new(obtain(&name, &volume, &classification, folder.as_ref(), keep));
+            cache.try_get_with(key, async move { ticket.run(move |_| job()).await.map(|(built, _)| built) }).await
+        });
+        build.await.map_err(|_| PoolError::Panicked)?.map_err(|shared| PoolError::clone(&shared))
+    }
+}
+
+/// From the folder or built; on the current rayon pool.
+fn obtain(
+    key: &str,
+    volume: &LoadedVolume,
+    Classification { transfer, min_opacity }: &Classification,
+    folder: Option<&CacheFolder>,
+    keep: bool,
+) -> ClassifiedVolume {
+    let read = |folder: &CacheFolder| {
+        folder.load(key, |mut input| ClassifiedVolume::read_from(&volume.prepared, transfer, *min_opacity, &mut input))
+    };
+    if let Some(kept) = folder.and_then(read) {
+        return kept;
+    }
+    let built = ClassifiedVolume::build(&volume.prepared, transfer, *min_opacity);
+    if let Some(folder) = folder.filter(|_| keep)
+        && let Err(error) = folder.save(key, |mut output| built.write_to(&mut output))
+    {
+        tracing::warn!(%error, "the cache folder cannot be written; the next start builds anew");
+    }
+    built
+}
+
+/// Bytes of a classified volume.
+fn total(classified: &ClassifiedVolume) -> u64 {
+    classified.bytes().iter().map(|(_, bytes)| bytes).sum()
+}
+
+/// Weights are 32 bits wide, hence KiB: up to 4 TiB.
+fn kib(bytes: u64) -> u32 {
+    u32::try_from(bytes.div_ceil(1024)).unwrap_or(u32::MAX)
+}
