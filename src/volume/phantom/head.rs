@@ -1,12 +1,13 @@
 //! The built-in demo volume: a CT angiography of a head that nobody owns.
 //!
 //! Anatomy is modelled as solids ([`super::shape`]) in millimetres around the middle of the head, x
-//! to the left, y to the back, z up, and painted from the outside in: air, skin, fat, muscle, then
-//! brain, bone, teeth, eyes, airways and at last vessels. Every edge is blurred over [`BLUR`] as a scanner does, so
+//! to the left, y to the back, z up, and painted one over the other: flesh, bone, teeth, airways,
+//! brain, then fat, skin and the air outside, at last vessels. Every edge is blurred over [`BLUR`] as a scanner does, so
 //! that surfaces come out smooth, and a little noise lies over everything.
 //!
-//! To be quick, voxels are made in blocks of 8^3. A solid's distance from a block's middle tells
-//! whether it can reach into the block at all: most blocks need no solid (air) or one (brain).
+//! To be quick, voxels are made in blocks of 8^3, and these in blocks of 4^3. A part's distance from
+//! a block's middle tells whether it can reach into the block at all: most blocks need no part (air)
+//! or one (brain).
 
 mod brain;
 mod skin;
@@ -17,7 +18,8 @@ use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::random::{bell, mix};
-use super::shape::{coverage, v};
+use super::shape::{coverage, mirrored, v};
+use vessels::Vessel;
 use crate::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
 /// Voxels along x, y, z.
@@ -27,11 +29,14 @@ const SPACING: f32 = 1.2;
 /// HU of code 0.
 const INTERCEPT: f32 = -1024.0;
 /// Edges are this wide, mm: the point spread of a soft reconstruction kernel.
-const BLUR: f32 = 2.0;
+const BLUR: f32 = 3.0;
 /// Standard deviation of the scanner's noise, HU.
 const NOISE: f32 = 7.0;
-/// Edge of a block, voxels.
+/// Edges of blocks, voxels. The small ones divide the large ones, the large ones the volume.
 const BLOCK: usize = 8;
+const SMALL_BLOCK: usize = 4;
+/// Further away than anything, mm.
+const FAR: f32 = 1e4;
 
 /// Hounsfield units of what a head is made of.
 mod hu {
@@ -84,80 +89,138 @@ fn origin() -> Vec3 {
     v(x, y, z)
 }
 
-/// Paints a block into `codes`, the layer of slices that it lies in.
-fn paint_block(codes: &mut [u16], first: [usize; 3], vessels: &[vessels::Vessel]) {
-    let [nx, ny, _] = DIMS;
+/// Paints the block at voxel `first` into `codes`, the layer of slices that it lies in.
+fn paint_block(codes: &mut [u16], first: [usize; 3], vessels: &[Vessel]) {
     let corner = origin() + SPACING * v(first[0] as f32, first[1] as f32, first[2] as f32);
-    let half = 0.5 * SPACING * (BLOCK - 1) as f32;
-    let near = Near::around(corner + Vec3::splat(half), half * 1.733, vessels);
-    for k in 0..BLOCK {
-        for j in 0..BLOCK {
-            let row = (k * ny + first[1] + j) * nx + first[0];
-            for (i, code) in codes[row..row + BLOCK].iter_mut().enumerate() {
-                let p = corner + SPACING * v(i as f32, j as f32, k as f32);
-                let grain = bell((first[0] + i) as i32, (first[1] + j) as i32, (first[2] + k) as i32, 1);
-                // The cast saturates at 0.
-                *code = (near.value(p) + NOISE * grain - INTERCEPT).round() as u16;
+    let near = Near::to_block(corner, BLOCK, None, vessels);
+    for k in (0..BLOCK).step_by(SMALL_BLOCK) {
+        for j in (0..BLOCK).step_by(SMALL_BLOCK) {
+            for i in (0..BLOCK).step_by(SMALL_BLOCK) {
+                let corner = corner + SPACING * v(i as f32, j as f32, k as f32);
+                let near = Near::to_block(corner, SMALL_BLOCK, Some(&near.parts), &near.vessels);
+                paint_small_block(codes, [first[0] + i, first[1] + j, first[2] + k], corner, &near);
             }
+        }
+    }
+}
+
+fn paint_small_block(codes: &mut [u16], [i0, j0, k0]: [usize; 3], corner: Vec3, near: &Near) {
+    let [nx, ny, _] = DIMS;
+    for k in 0..SMALL_BLOCK {
+        for j in 0..SMALL_BLOCK {
+            let row = ((k0 + k) % BLOCK * ny + j0 + j) * nx + i0;
+            for (i, code) in codes[row..row + SMALL_BLOCK].iter_mut().enumerate() {
+                let value = near.value(corner + SPACING * v(i as f32, j as f32, k as f32));
+                let grain = bell((i0 + i) as i32, (j0 + j) as i32, (k0 + k) as i32, 1);
+                // Rounds; the cast saturates at 0.
+                *code = (value + NOISE * grain - INTERCEPT + 0.5) as u16;
+            }
+        }
+    }
+}
+
+/// Which parts may reach into a block.
+#[derive(Clone, Copy, Debug)]
+struct Parts {
+    body: bool,
+    /// Skin and the fat under it.
+    surface: bool,
+    brain: bool,
+    orbits: bool,
+    vault: bool,
+    face: bool,
+    openings: bool,
+    jaw: bool,
+    spine: bool,
+    airways: bool,
+}
+
+impl Parts {
+    const ALL: Self = Self {
+        body: true,
+        surface: true,
+        brain: true,
+        orbits: true,
+        vault: true,
+        face: true,
+        openings: true,
+        jaw: true,
+        spine: true,
+        airways: true,
+    };
+
+    /// Those of `self` that reach within `reach` mm of `middle`.
+    fn within(self, middle: Vec3, reach: f32) -> Self {
+        let skin = if self.surface { skin::surface(middle) } else { -FAR };
+        if !self.body || skin > reach {
+            return Self { body: false, ..self };
+        }
+        let m = mirrored(middle);
+        let cavity = if self.brain || self.vault { brain::cavity(middle) } else { FAR };
+        let reaches = |asked: bool, part: fn(Vec3) -> f32| asked && part(m) < reach;
+        Self {
+            body: true,
+            surface: skin > -reach - skin::DEPTH,
+            brain: cavity < reach,
+            orbits: reaches(self.orbits, skull::orbits),
+            vault: self.vault && cavity > -reach && cavity < reach + skull::THICKEST,
+            face: reaches(self.face, |m| skull::facial_bones(m) - skull::SEAM),
+            openings: reaches(self.openings, skull::openings),
+            jaw: reaches(self.jaw, skull::jaw),
+            spine: reaches(self.spine, skull::spine),
+            airways: reaches(self.airways, skull::airways),
         }
     }
 }
 
 /// What may reach into a block.
 struct Near {
-    body: bool,
-    /// The surface, its fat and what is in it; false deep inside.
-    surface: bool,
-    skull: bool,
-    face: bool,
-    brain: bool,
-    vessels: Vec<vessels::Vessel>,
+    parts: Parts,
+    vessels: Vec<Vessel>,
 }
 
 impl Near {
-    /// A block's ball of this `radius` around `middle`, mm.
-    fn around(middle: Vec3, radius: f32, vessels: &[vessels::Vessel]) -> Self {
-        // Approximate distances are trusted up to a third.
-        let reach = 1.5 * (radius + BLUR);
-        let skin = skin::surface(middle);
-        let cavity = brain::cavity(middle);
-        let body = skin < reach;
-        Self {
-            body,
-            surface: body && skin > -reach - skin::DEPTH,
-            skull: body && cavity > -reach,
-            face: body && skull::near_face(middle, radius + BLUR),
-            brain: cavity < reach,
-            vessels: if body {
-                vessels.iter().filter(|s| s.distance(middle) < radius + BLUR).copied().collect()
-            } else {
-                vec![]
-            },
-        }
+    /// Of `parts` (all of them unless told) and `vessels`, what may reach into the block of `size`
+    /// voxels whose first one lies at `corner`.
+    fn to_block(corner: Vec3, size: usize, parts: Option<&Parts>, vessels: &[Vessel]) -> Self {
+        let half = 0.5 * SPACING * (size - 1) as f32;
+        let middle = corner + Vec3::splat(half);
+        // From the middle to a corner, and as far as edges are blurred.
+        let radius = half * 1.733 + 0.5 * BLUR;
+        // Distances are approximate: trust four fifths of them.
+        let parts = parts.unwrap_or(&Parts::ALL).within(middle, 1.25 * radius);
+        let close = |vessel: &&Vessel| parts.body && vessel.distance(middle) < radius;
+        Self { parts, vessels: vessels.iter().filter(close).copied().collect() }
     }
 
     /// Hounsfield units at `p`, without noise.
     fn value(&self, p: Vec3) -> f32 {
-        if !self.body {
+        let parts = &self.parts;
+        if !parts.body {
             return hu::AIR;
         }
-        let mut value = if self.surface { skin::layers(p) } else { hu::MUSCLE };
-        let paint = |value: &mut f32, distance: f32, with: f32| *value = mix(*value, with, coverage(distance, BLUR));
-        if self.brain || self.skull {
-            let cavity = brain::cavity(p);
-            if self.face {
-                value = skull::deep_soft_tissue(p, value);
-            }
-            if self.skull {
-                value = skull::paint(p, cavity, self.face, value);
-            }
-            if self.brain && cavity < BLUR {
-                paint(&mut value, cavity, brain::value(p, cavity));
-            }
+        let skin = if parts.surface { skin::surface(p) } else { -FAR };
+        if skin > 0.5 * BLUR {
+            return hu::AIR;
+        }
+        let cavity = if parts.brain || parts.vault { brain::cavity(p) } else { FAR };
+        let mut value = if cavity < -0.5 * BLUR {
+            brain::value(p, cavity)
+        } else {
+            let mut value = skull::deep_soft_tissue(p, parts, skin);
+            value = skull::bones(p, cavity, parts, value);
+            let share = coverage(cavity, BLUR);
+            if share > 0.0 { mix(value, brain::value(p, cavity), share) } else { value }
+        };
+        if parts.surface {
+            value = skin::layers(p, skin, value);
         }
         for vessel in &self.vessels {
-            paint(&mut value, vessel.distance(p), vessel.hu);
+            value = mix(value, vessel.hu, coverage(vessel.distance(p), BLUR));
         }
         value
     }
 }
+
+#[cfg(test)]
+mod tests;

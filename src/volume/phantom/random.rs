@@ -30,10 +30,11 @@ pub fn bell(x: i32, y: i32, z: i32, seed: u32) -> f32 {
 
 /// Smooth noise in -1..=1 with one random value per unit cube corner, smoothstep between them.
 pub fn smooth(p: glam::Vec3, seed: u32) -> f32 {
-    let cell = p.floor();
-    let t = p - cell;
+    // Truncation and a correction: cheaper than the library's floor without SSE 4.1.
+    let floor = |x: f32| x as i32 - i32::from(x < x as i32 as f32);
+    let (x, y, z) = (floor(p.x), floor(p.y), floor(p.z));
+    let t = p - glam::Vec3::new(x as f32, y as f32, z as f32);
     let t = t * t * (glam::Vec3::splat(3.0) - 2.0 * t);
-    let (x, y, z) = (cell.x as i32, cell.y as i32, cell.z as i32);
     let corner = |dx: i32, dy: i32, dz: i32| signed(hash(x + dx, y + dy, z + dz, seed));
     let row = |dy, dz| mix(corner(0, dy, dz), corner(1, dy, dz), t.x);
     let plane = |dz| mix(row(0, dz), row(1, dz), t.y);

@@ -7,13 +7,13 @@ use super::super::shape::{carve, chain, coverage, ellipsoid, join, limb, meet, m
 use super::{BLUR, hu};
 
 /// Skin and the fat under it are no thicker than this, mm.
-pub const DEPTH: f32 = 16.0;
+pub const DEPTH: f32 = 11.0;
 
 /// Distance to the skin, mm.
 pub fn surface(p: Vec3) -> f32 {
     let m = mirrored(p);
     let mut d = join(scalp(p), neck(p), 24.0);
-    if p.y < 20.0 {
+    if p.y < 55.0 && p.z < 50.0 {
         d = join(d, jaws(m), 22.0);
         if p.y < -30.0 && p.z < 45.0 {
             d = eyes(m, d);
@@ -47,10 +47,11 @@ fn jaws(m: Vec3) -> f32 {
     let midface = ellipsoid(m, v(0.0, -38.0, -14.0), v(60.0, 46.0, 46.0));
     let cheek = ellipsoid(m, v(38.0, -56.0, -24.0), v(22.0, 20.0, 20.0));
     let muzzle = ellipsoid(m, v(0.0, -58.0, -52.0), v(36.0, 36.0, 32.0));
-    let jaw = chain(m, &[(v(50.0, 0.0, -50.0), 13.0), (v(44.0, -22.0, -72.0), 13.0), (v(18.0, -68.0, -88.0), 13.0)]);
+    let side = ellipsoid(m, v(50.0, -18.0, -28.0), v(20.0, 40.0, 42.0));
+    let jaw = chain(m, &[(v(48.0, 2.0, -46.0), 11.0), (v(43.0, -20.0, -70.0), 12.0), (v(18.0, -68.0, -88.0), 13.0)]);
     let floor = ellipsoid(m, v(0.0, -36.0, -74.0), v(44.0, 42.0, 22.0));
     let chin = ellipsoid(m, v(0.0, -80.0, -88.0), v(17.0, 14.0, 14.0));
-    let face = join(join(midface, cheek, 18.0), muzzle, 24.0);
+    let face = join(join(join(midface, cheek, 18.0), muzzle, 24.0), side, 20.0);
     join(join(face, join(jaw, floor, 16.0), 22.0), chin, 14.0)
 }
 
@@ -93,12 +94,10 @@ fn mouth(m: Vec3, head: f32) -> f32 {
     let upper = chain(m, &[(v(0.0, -92.0, -54.5), 3.2), (v(5.0, -92.6, -53.5), 4.0), (v(22.0, -82.5, -58.5), 1.8)]);
     let lower = chain(m, &[(v(0.0, -91.5, -63.5), 5.0), (v(10.0, -89.5, -62.5), 4.4), (v(21.5, -82.5, -59.0), 1.8)]);
     let d = join(join(head, upper, 5.0), lower, 5.0);
-    let slit = chain(m, &[(v(0.0, -98.5, -58.2), 1.4), (v(7.0, -97.0, -57.6), 1.4), (v(25.0, -85.5, -59.3), 1.2)]);
-    let behind =
-        slit.min(chain(m, &[(v(0.0, -94.5, -58.2), 1.2), (v(8.0, -93.0, -57.8), 1.2), (v(24.0, -82.5, -59.3), 1.0)]));
+    let slit = chain(m, &[(v(0.0, -97.2, -58.6), 1.4), (v(8.0, -95.8, -58.0), 1.4), (v(21.0, -87.5, -59.2), 1.1)]);
     let philtrum = limb(m, (v(0.0, -96.5, -42.0), 2.6), (v(0.0, -98.0, -51.0), 3.2));
     let fold = limb(m, (v(0.0, -96.0, -72.5), 5.0), (v(12.0, -92.0, -72.5), 4.0));
-    let d = carve(d, behind, 2.0);
+    let d = carve(d, slit, 2.0);
     carve(carve(d, philtrum, 3.0), fold, 7.0)
 }
 
@@ -122,21 +121,15 @@ fn ear(m: Vec3, head: f32) -> f32 {
     join(carve(d, concha, 3.0), tragus, 3.0)
 }
 
-/// Hounsfield units of air, skin, fat and what lies beneath, blurred at their edges.
-pub fn layers(p: Vec3) -> f32 {
-    let d = surface(p);
-    if d > BLUR {
-        return hu::AIR;
-    }
+/// Covers the flesh, `value`, with fat, skin and the air outside; the skin is `surface` mm away.
+pub fn layers(p: Vec3, surface: f32, value: f32) -> f32 {
     let m = mirrored(p);
-    // Thin over the skull, thick under the chin and in the cheeks.
-    let fat = mix(2.5, 6.0, coverage(p.z - 10.0, 60.0)) + 1.2 * smooth(p / 14.0, 11);
-    let cheek = ellipsoid(m, v(44.0, -50.0, -46.0), v(17.0, 26.0, 22.0));
+    // Thin over the skull, thicker below; cartilage in place of fat in the ears.
+    let fat = mix(2.2, 5.0, coverage(p.z - 10.0, 60.0)) + 0.8 * smooth(p / 14.0, 11);
     let in_ear = m.x > 76.0 && (-5.0..50.0).contains(&p.y) && scalp(p) > 1.0;
-    let deep = if in_ear { hu::CARTILAGE } else { mix(hu::FAT, hu::MUSCLE, coverage(d + SKIN + fat, BLUR)) };
-    let deep = mix(deep, hu::FAT, coverage(cheek, 8.0) * coverage(d + SKIN, BLUR));
-    let flesh = mix(hu::SKIN, deep, coverage(d + SKIN, BLUR));
-    mix(hu::AIR, flesh, coverage(d, BLUR))
+    let value = if in_ear { hu::CARTILAGE } else { mix(hu::FAT, value, coverage(surface + SKIN + fat, BLUR)) };
+    let value = mix(hu::SKIN, value, coverage(surface + SKIN, BLUR));
+    mix(hu::AIR, value, coverage(surface, BLUR))
 }
 
 /// Thickness of the skin, mm.

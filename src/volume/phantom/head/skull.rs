@@ -6,37 +6,42 @@ use glam::Vec3;
 
 use super::super::random::{mix, smooth};
 use super::super::shape::{carve, chain, coverage, ellipsoid, join, limb, meet, mirrored, ring, slab, sphere, v};
-use super::{BLUR, hu, skin};
+use super::{BLUR, FAR, Parts, hu, skin};
 
 /// Thickness of cortical bone, mm.
 const CORTEX: f32 = 1.9;
 
-/// Whether the ball reaches the part with face, ears and neck.
-pub fn near_face(middle: Vec3, radius: f32) -> bool {
-    let beyond = (middle - v(0.0, -10.0, -50.0)).abs() - v(80.0, 95.0, 85.0);
-    beyond.max_element() < radius
-}
+/// The brain case is no thicker than this, mm.
+pub const THICKEST: f32 = 9.0;
+/// The face grows out of the brain case with a seam this wide, mm.
+pub const SEAM: f32 = 8.0;
 
 /// Paints bone and all that goes with it over `value`; the brain's cavity is `cavity` mm away.
-pub fn paint(p: Vec3, cavity: f32, face: bool, value: f32) -> f32 {
+pub fn bones(p: Vec3, cavity: f32, parts: &Parts, value: f32) -> f32 {
     let m = mirrored(p);
-    let mut bone = vault(p, m, cavity);
-    if face {
-        bone = join(bone, facial_bones(m), 5.0);
-        bone = carve(bone, openings(m), 2.5);
-        bone = bone.min(nose_walls(m)).min(jaw(m)).min(spine(p, m));
+    let mut bone = if parts.vault { vault(p, m, cavity) } else { FAR };
+    if parts.face {
+        bone = join(bone, facial_bones(m), SEAM).max(-cavity);
     }
-    let marrow = coverage(bone + CORTEX + 0.6, 2.0 * BLUR);
-    let grain = 1.0 + 0.25 * smooth(p / 3.0, 31);
-    let inside = mix(hu::CORTICAL, hu::TRABECULAR * grain, marrow);
-    let mut value = mix(value, inside, coverage(bone, BLUR));
-    if face {
+    if parts.openings {
+        bone = carve(bone, openings(m), 2.5).min(nose_walls(m));
+    }
+    if parts.jaw {
+        bone = bone.min(jaw(m));
+    }
+    if parts.spine {
+        bone = bone.min(spine(m));
+    }
+    let mut value = value;
+    if bone < 0.5 * BLUR {
+        let marrow = coverage(bone + CORTEX + 0.6, 4.0);
+        let grain = 1.0 + 0.25 * smooth(p / 3.0, 31);
+        value = mix(value, mix(hu::CORTICAL, hu::TRABECULAR * grain, marrow), coverage(bone, BLUR));
         let petrous = limb(m, (v(56.0, 14.0, -12.0), 8.0), (v(20.0, -6.0, -12.0), 5.0));
         value = mix(value, hu::PETROUS, coverage(petrous, BLUR) * coverage(bone, BLUR));
-        value = teeth(m, value);
-        value = mix(value, hu::AIR, coverage(airways(m), BLUR));
     }
-    value
+    value = teeth(m, value);
+    if parts.airways { mix(value, hu::AIR, coverage(airways(m), BLUR)) } else { value }
 }
 
 /// The brain case with its sutures.
@@ -62,7 +67,7 @@ fn sutures(p: Vec3, m: Vec3) -> f32 {
 }
 
 /// Brow, cheekbones, upper jaw, and the processes below the skull's base.
-fn facial_bones(m: Vec3) -> f32 {
+pub fn facial_bones(m: Vec3) -> f32 {
     let brow = chain(m, &[(v(0.0, -79.0, 15.0), 6.0), (v(20.0, -80.0, 21.0), 5.0), (v(42.0, -71.0, 17.0), 4.5)]);
     let outer_rim = chain(m, &[(v(44.0, -70.0, 16.0), 4.5), (v(50.0, -63.0, 2.0), 4.0), (v(47.0, -66.0, -16.0), 5.5)]);
     let cheekbone = ellipsoid(m, v(45.0, -64.0, -21.0), v(13.0, 9.0, 9.0));
@@ -74,14 +79,14 @@ fn facial_bones(m: Vec3) -> f32 {
     let maxilla = ellipsoid(m, v(16.0, -62.0, -30.0), v(20.0, 22.0, 20.0));
     let alveolar = ellipsoid(m, v(0.0, -60.0, -46.0), v(30.0, 24.0, 9.0));
     let spine = limb(m, (v(0.0, -80.0, -39.0), 3.0), (v(0.0, -87.0, -38.0), 1.6));
-    let ethmoid = slab(m, v(6.0, -56.0, 0.0), v(12.0, 26.0, 16.0), 6.0);
+    let mass = ellipsoid(m, v(0.0, -56.0, -2.0), v(50.0, 27.0, 32.0));
     let sphenoid = ellipsoid(m, v(0.0, -24.0, -6.0), v(26.0, 18.0, 14.0));
     let wing = limb(m, (v(46.0, -56.0, 0.0), 3.0), (v(40.0, -36.0, -4.0), 4.0));
     let clivus = limb(m, (v(0.0, -10.0, -8.0), 8.0), (v(0.0, 12.0, -34.0), 5.0));
     let eye = join(join(brow, outer_rim, 4.0), join(cheekbone, lower_rim, 5.0), 5.0);
     let middle = join(join(nasal, beside_nose, 3.0), join(maxilla, alveolar, 6.0), 5.0).min(spine);
-    let deep = join(join(ethmoid, sphenoid, 6.0), join(wing, clivus, 4.0), 5.0);
-    join(join(eye, middle, 5.0), deep, 3.0).min(processes(m))
+    let deep = join(join(mass, sphenoid, 6.0), join(wing, clivus, 4.0), 5.0);
+    join(join(eye, middle, 6.0), deep, 8.0).min(processes(m))
 }
 
 /// Zygomatic arch, mastoid, styloid and pterygoid processes, and the joint's socket.
@@ -104,7 +109,7 @@ fn processes(m: Vec3) -> f32 {
 }
 
 /// Holes in the bone: eye sockets with their nerve's canal, the nose, sinuses, ear canals.
-fn openings(m: Vec3) -> f32 {
+pub fn openings(m: Vec3) -> f32 {
     let socket = ellipsoid(m, v(31.5, -78.0, 2.0), v(19.5, 22.0, 16.5));
     let cone = limb(m, (v(29.0, -68.0, 2.0), 14.0), (v(14.0, -34.0, 4.0), 3.0));
     let fissure = limb(m, (v(24.0, -42.0, 2.0), 2.5), (v(36.0, -44.0, 10.0), 1.5));
@@ -132,7 +137,7 @@ fn nose_walls(m: Vec3) -> f32 {
 }
 
 /// The lower jaw: an arched body, the branches with two heads each.
-fn jaw(m: Vec3) -> f32 {
+pub fn jaw(m: Vec3) -> f32 {
     // A plate stood on edge along an arch, its middle line rising to the back.
     let arch = [v(0.0, -80.5, 0.0), v(14.0, -77.0, 0.0), v(27.0, -58.0, 0.0), v(38.0, -34.0, 0.0), v(45.0, -10.0, 0.0)];
     let flat = v(m.x, m.y, 0.0);
@@ -154,18 +159,15 @@ fn jaw(m: Vec3) -> f32 {
 }
 
 /// Vertebrae of the neck: the atlas as a ring, the others with body, arch and processes.
-fn spine(p: Vec3, m: Vec3) -> f32 {
-    if p.z > -38.0 {
-        return limb(p, (v(0.0, 13.0, -50.0), 4.5), (v(0.0, 12.0, -42.0), 3.5));
-    }
+pub fn spine(m: Vec3) -> f32 {
     let squeezed = v(m.x * 0.85, m.y, m.z);
     let atlas = ring(squeezed, v(0.0, 29.0, -50.0), Vec3::Z, 17.5, 4.0)
         .min(ellipsoid(m, v(21.0, 22.0, -48.0), v(8.0, 10.0, 7.0)))
         .min(limb(m, (v(24.0, 24.0, -50.0), 5.0), (v(37.0, 26.0, -50.0), 3.5)));
-    let dens = limb(p, (v(0.0, 15.0, -62.0), 6.0), (v(0.0, 13.0, -42.0), 3.5));
+    let dens = limb(m, (v(0.0, 15.0, -62.0), 6.0), (v(0.0, 13.0, -42.0), 3.5));
     // One vertebra every 18 mm from the second on.
-    let number = ((-p.z - 57.0) / 18.0).floor().max(0.0);
-    let q = v(m.x, m.y, p.z + 66.0 + 18.0 * number);
+    let number = ((-m.z - 57.0) / 18.0).floor().max(0.0);
+    let q = v(m.x, m.y, m.z + 66.0 + 18.0 * number);
     let body = slab(q, v(0.0, 16.0, 0.0), v(11.5, 8.5, 7.0), 3.0);
     let arch = ring(v(q.x * 0.8, q.y, q.z * 0.7), v(0.0, 32.0, -1.0), Vec3::Z, 12.5, 2.8);
     let joints = limb(q, (v(18.0, 26.0, 7.0), 4.5), (v(18.0, 29.0, -7.0), 4.5));
@@ -229,7 +231,7 @@ fn teeth(m: Vec3, value: f32) -> f32 {
 }
 
 /// Air inside the head: nose, sinuses, throat, windpipe, ear canals, the cells behind the ear.
-fn airways(m: Vec3) -> f32 {
+pub fn airways(m: Vec3) -> f32 {
     let passage = slab(m, v(6.0, -56.0, -23.0), v(5.0, 34.0, 11.0), 3.0);
     let conchae = limb(m, (v(8.5, -70.0, -28.0), 3.2), (v(8.5, -38.0, -26.0), 3.2)).min(limb(
         m,
@@ -262,27 +264,36 @@ fn airways(m: Vec3) -> f32 {
     front.min(throat).min(mouth).min(canal).min(cells)
 }
 
-/// Paints what lies between skin and bone: the eyes in their fat, fat between the neck's muscles.
-pub fn deep_soft_tissue(p: Vec3, value: f32) -> f32 {
-    let m = mirrored(p);
-    let under_skin = coverage(skin::surface(p) + 4.0, 3.0);
-    if m.y < -30.0 && m.z.abs() < 24.0 {
-        let socket = limb(m, (v(31.0, -74.0, 2.0), 17.0), (v(14.0, -36.0, 4.0), 4.0));
-        let value = mix(value, hu::FAT, coverage(socket, BLUR) * under_skin);
-        let muscles = limb(m, (v(40.0, -66.0, 2.0), 1.8), (v(17.0, -40.0, 4.0), 1.4))
-            .min(limb(m, (v(22.0, -66.0, 2.0), 1.8), (v(14.0, -40.0, 4.0), 1.4)))
-            .min(limb(m, (v(31.0, -64.0, 11.5), 1.8), (v(16.0, -40.0, 5.0), 1.4)))
-            .min(limb(m, (v(31.0, -64.0, -7.5), 1.8), (v(16.0, -40.0, 3.0), 1.4)));
-        let nerve = limb(m, (v(28.0, -61.0, 2.0), 2.0), (v(14.0, -34.0, 4.0), 2.0));
-        let value = mix(value, hu::MUSCLE, coverage(muscles.min(nerve), BLUR));
-        let ball = sphere(m, skin::EYE, 12.2);
-        let value = mix(value, hu::MUSCLE, coverage(ball, BLUR));
-        let value = mix(value, hu::VITREOUS, coverage(ball + 1.4, BLUR));
-        return mix(value, hu::LENS, coverage(ellipsoid(m, skin::EYE - v(0.0, 7.6, 0.0), v(4.6, 2.2, 4.6)), BLUR));
+/// What lies between skin and bone: muscle, fat between the neck's muscles, the eyes. The skin is
+/// `surface` mm away.
+pub fn deep_soft_tissue(p: Vec3, parts: &Parts, surface: f32) -> f32 {
+    if parts.orbits {
+        return eye(mirrored(p));
+    }
+    if p.z > 0.0 || surface > -4.0 {
+        return hu::MUSCLE;
     }
     // Sheets of fat between muscles: where slow noise crosses zero.
     let strand = v(p.x / 15.0, p.y / 15.0, p.z / 40.0);
     let sheets = (smooth(strand, 36) + 0.3 * smooth(strand * 2.3, 37)).abs() * 16.0 - 0.9;
-    let gap = meet(sheets, p.z + 8.0, 6.0);
-    mix(value, mix(hu::FAT, hu::MUSCLE, 0.25), coverage(gap, BLUR) * under_skin)
+    mix(hu::MUSCLE, mix(hu::FAT, hu::MUSCLE, 0.25), coverage(meet(sheets, p.z + 8.0, 6.0), BLUR))
+}
+
+/// The cone of fat that an eye lies in.
+pub fn orbits(m: Vec3) -> f32 {
+    limb(m, (v(31.0, -74.0, 2.0), 17.0), (v(14.0, -36.0, 4.0), 4.0))
+}
+
+/// The eyeball with its lens, nerve and muscles, in fat.
+fn eye(m: Vec3) -> f32 {
+    let strands = [(40.0, -66.0, 2.0), (22.0, -66.0, 2.0), (31.0, -64.0, 11.5), (31.0, -64.0, -7.5)];
+    let strand = |(x, y, z): (f32, f32, f32)| limb(m, (v(x, y, z), 1.8), (v(15.0, -40.0, 4.0), 1.4));
+    let nerve = limb(m, (v(28.0, -61.0, 2.0), 2.0), (v(14.0, -34.0, 4.0), 2.0));
+    let muscles = strands.into_iter().map(strand).fold(nerve, f32::min);
+    let ball = sphere(m, skin::EYE, 12.2);
+    let lens = ellipsoid(m, skin::EYE - v(0.0, 7.6, 0.0), v(4.6, 2.2, 4.6));
+    let value = mix(hu::MUSCLE, hu::FAT, coverage(orbits(m), BLUR));
+    let value = mix(value, hu::MUSCLE, coverage(muscles.min(ball), BLUR));
+    let value = mix(value, hu::VITREOUS, coverage(ball + 1.4, BLUR));
+    mix(value, hu::LENS, coverage(lens, BLUR))
 }
