@@ -30,7 +30,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..))]
     frames: u32,
     /// Degrees from one frame to the next
-    #[arg(long, value_name = "DEGREES", default_value_t = 4.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 4.0, allow_negative_numbers = true)]
     step: f64,
     /// Threads for everything [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_THREADS))]
@@ -202,8 +202,15 @@ fn prepare_ms(stage: &Stage, load: Duration) -> BTreeMap<&'static str, f64> {
 /// `images` are the intermediate image, where there is one, and the final one.
 fn bytes(stage: &Stage, phases: &Phases) -> BTreeMap<&'static str, u64> {
     let classified = stage.classified.iter().flat_map(|c| c.bytes());
-    let intermediate = stage.classified.as_ref().map_or(0, |_| IntermediateImage::new(phases.intermediate_size).bytes());
-    stage.prepared.bytes().into_iter().chain(classified).chain([("images", intermediate + phases.image_bytes)]).collect()
+    let intermediate =
+        stage.classified.as_ref().map_or(0, |_| IntermediateImage::new(phases.intermediate_size).bytes());
+    stage
+        .prepared
+        .bytes()
+        .into_iter()
+        .chain(classified)
+        .chain([("images", intermediate + phases.image_bytes)])
+        .collect()
 }
 
 impl Report {
