@@ -102,7 +102,8 @@ impl<'a, T: Code> Caster<'a, T> {
         let start = self.index_from_world.transform_point3(ray.origin);
         let direction = self.index_from_world.transform_vector3(ray.direction);
         let Some((enter, leave)) = self.span(view, ray, start, direction) else { return Vec4::ZERO };
-        let steps = ((leave - enter) / self.step).ceil();
+        // A length that is a whole number of steps but for rounding takes that number.
+        let steps = ((leave - enter) / self.step - 1e-6).ceil().max(1.0);
         let length = (leave - enter) / steps;
         let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
         for n in 0..steps as u64 {

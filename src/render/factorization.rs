@@ -3,15 +3,17 @@
 //!
 //! With `i, j, k` the permuted voxel indices and `k` along the principal viewing axis, a parallel
 //! ray advances by `d = (d_i, d_j, d_k)` indices per mm. Shearing slice `k` by `-d_i/d_k, -d_j/d_k`
-//! a slice makes all rays parallel to `k`; a further translation makes the intermediate image start
-//! at 0:
+//! a slice makes all rays parallel to `k`; a further translation by whole pixels makes the
+//! intermediate image start at 0:
 //!
 //! ```text
-//! u = i + shear_u k + translation_u        v = j + shear_v k + translation_v
+//! u = i + shear_u (k - front) + translation_u        v = j + shear_v (k - front) + translation_v
 //! ```
 //!
-//! A final pixel's ray meets the plane k = 0 in one point, which gives the warp without inverting a
-//! view matrix: (u, v) is an affine function of (x, y).
+//! The front slice, the one nearest to the viewer, stays on the pixel lattice: what is seen first is
+//! not blurred, and the lattice does not depend on the direction in which slices are stored. A
+//! final pixel's ray meets the front slice in one point, which gives the warp without inverting a view
+//! matrix: (u, v) is an affine function of (x, y).
 
 use std::ops::Range;
 
@@ -52,6 +54,7 @@ pub struct Factorization {
     /// True where the viewer stands beyond the last slice: front to back is k descending.
     pub reversed: bool,
     shear: DVec2,
+    /// Where slice 0 begins: the module's translation less the shear from slice 0 to the front.
     translation: DVec2,
     /// Pixels of the intermediate image along u and v.
     pub size: [usize; 2],
@@ -98,7 +101,9 @@ impl Factorization {
         let d = permuted(along);
         let shear = -d.truncate() / d.z;
         let last_slice = (dims[2] - 1) as f64;
-        let translation = (-shear * last_slice).max(DVec2::ZERO);
+        let reversed = d.z < 0.0;
+        let (front, depth) = if reversed { (last_slice, -last_slice) } else { (0.0, last_slice) };
+        let translation = (-shear * depth).max(DVec2::ZERO).ceil() - shear * front;
         let size = [0, 1].map(|axis| dims[axis] + (shear[axis].abs() * last_slice).ceil() as usize + 1);
         if size[0].saturating_mul(size[1]) > MAX_PIXELS {
             return Err(RenderError::Unsupported {
@@ -109,15 +114,15 @@ impl Factorization {
                 ),
             });
         }
-        // Where the ray through a point meets the plane k = 0.
-        let onto_first_slice = |p: DVec3| p.truncate() + shear * p.z;
-        let vector = |v: DVec3| onto_first_slice(permuted(index_from_world.transform_vector3(v)));
-        let start = onto_first_slice(permuted(index_from_world.transform_point3(corner)));
+        // All points of a ray shear to the same place.
+        let sheared = |p: DVec3| p.truncate() + shear * p.z;
+        let vector = |v: DVec3| sheared(permuted(index_from_world.transform_vector3(v)));
+        let start = sheared(permuted(index_from_world.transform_point3(corner)));
         let sheared_from_image = DAffine2::from_cols(vector(dx), vector(dy), start + translation);
         let mut factorization = Self {
             principal_axis,
             dims,
-            reversed: d.z < 0.0,
+            reversed,
             shear,
             translation,
             size,
@@ -196,7 +201,7 @@ mod tests {
     /// space and the warp.
     #[test]
     fn shear_and_warp_together_are_the_view() {
-        let volume = phantom::uniform([30, 40, 50], 1.0);
+        let volume = phantom::uniform([30, 40, 50], 1);
         for step in 0..60 {
             let orbit = Orbit {
                 azimuth: f64::from(step) * 37.0,

@@ -1,0 +1,143 @@
+//! The outside: the form of the head, the face, the ears, and the layers under the skin.
+
+use glam::Vec3;
+
+use super::super::random::{mix, smooth};
+use super::super::shape::{carve, chain, coverage, ellipsoid, join, limb, meet, mirrored, ring, sphere, v};
+use super::{BLUR, hu};
+
+/// Skin and the fat under it are no thicker than this, mm.
+pub const DEPTH: f32 = 16.0;
+
+/// Distance to the skin, mm.
+pub fn surface(p: Vec3) -> f32 {
+    let m = mirrored(p);
+    let mut d = join(scalp(p), neck(p), 24.0);
+    if p.y < 20.0 {
+        d = join(d, jaws(m), 22.0);
+        if p.y < -30.0 && p.z < 45.0 {
+            d = eyes(m, d);
+            d = nose(m, d);
+            d = mouth(m, d);
+        }
+    }
+    if m.x > 55.0 && (-45.0..70.0).contains(&p.y) { ear(m, d) } else { d }
+}
+
+/// The upper head, from brow to nape: a narrower front and a broader back.
+pub fn scalp(p: Vec3) -> f32 {
+    let front = ellipsoid(p, v(0.0, -20.0, 38.0), v(65.0, 68.0, 70.0));
+    let back = ellipsoid(p, v(0.0, 28.0, 40.0), v(75.0, 76.0, 73.0));
+    let nape = ellipsoid(p, v(0.0, 40.0, -4.0), v(58.0, 54.0, 40.0));
+    join(join(front, back, 36.0), nape, 24.0)
+}
+
+fn neck(p: Vec3) -> f32 {
+    // Broader than deep, leaning forward on its way up.
+    let squeezed = v(p.x * 0.94, p.y, p.z);
+    limb(squeezed, (v(0.0, 26.0, -150.0), 60.0), (v(0.0, 22.0, -70.0), 53.0)).max(-60.0).min(limb(
+        squeezed,
+        (v(0.0, 22.0, -70.0), 53.0),
+        (v(0.0, 20.0, -20.0), 52.0),
+    ))
+}
+
+/// Cheeks, jaw and chin.
+fn jaws(m: Vec3) -> f32 {
+    let midface = ellipsoid(m, v(0.0, -38.0, -14.0), v(60.0, 46.0, 46.0));
+    let cheek = ellipsoid(m, v(38.0, -56.0, -24.0), v(22.0, 20.0, 20.0));
+    let muzzle = ellipsoid(m, v(0.0, -58.0, -52.0), v(36.0, 36.0, 32.0));
+    let jaw = chain(m, &[(v(50.0, 0.0, -50.0), 13.0), (v(44.0, -22.0, -72.0), 13.0), (v(18.0, -68.0, -88.0), 13.0)]);
+    let floor = ellipsoid(m, v(0.0, -36.0, -74.0), v(44.0, 42.0, 22.0));
+    let chin = ellipsoid(m, v(0.0, -80.0, -88.0), v(17.0, 14.0, 14.0));
+    let face = join(join(midface, cheek, 18.0), muzzle, 24.0);
+    join(join(face, join(jaw, floor, 16.0), 22.0), chin, 14.0)
+}
+
+/// Brow ridge, eye sockets, and closed lids over the eyeballs.
+fn eyes(m: Vec3, head: f32) -> f32 {
+    let brow = chain(m, &[(v(8.0, -84.0, 15.0), 6.0), (v(26.0, -82.0, 20.0), 6.5), (v(46.0, -68.0, 14.0), 6.0)]);
+    let socket = ellipsoid(m, v(31.0, -90.0, 2.0), v(18.0, 14.0, 11.5));
+    let ball = sphere(m, EYE, 13.4);
+    let d = carve(join(head, brow, 9.0), socket, 10.0);
+    let d = join(d, ball, 3.5);
+    // The crease above the lid and the slit between the lids, on the ball's surface.
+    let q = m - EYE;
+    let bow = 0.012 * (m.x - 31.0) * (m.x - 31.0);
+    let slit = meet((q.z + 4.5 - bow).abs() - 0.5, (m.x - 31.5).abs() - 13.0, 2.0);
+    let crease = meet((q.z - 6.5 + bow).abs() - 0.5, (m.x - 31.0).abs() - 14.0, 3.0);
+    let skin_deep = (d + 1.2).abs() - 1.6;
+    let in_front = m.y + 66.0;
+    let groove = slit.min(crease + 0.3).max(skin_deep).max(in_front);
+    carve(d, groove, 1.6)
+}
+
+/// Middle of the left eyeball.
+pub const EYE: Vec3 = v(31.0, -72.5, 2.0);
+
+fn nose(m: Vec3, head: f32) -> f32 {
+    let bridge = chain(m, &[(v(0.0, -85.0, 9.0), 6.0), (v(0.0, -94.0, -8.0), 6.5), (v(0.0, -105.0, -27.0), 7.0)]);
+    let tip = sphere(m, v(0.0, -105.5, -30.0), 8.4);
+    let side = limb(m, (v(5.0, -84.0, -2.0), 8.0), (v(10.0, -90.0, -28.0), 9.0));
+    let wing = ellipsoid(m, v(11.5, -94.0, -33.0), v(6.5, 9.5, 6.5));
+    let columella = limb(m, (v(0.0, -103.0, -35.0), 3.2), (v(0.0, -91.0, -40.0), 4.0));
+    let d = join(head, side, 9.0);
+    let d = join(d, join(bridge, tip, 8.0), 6.0);
+    let d = join(join(d, wing, 4.0), columella, 4.0);
+    let nostril = limb(m, (v(6.8, -98.0, -39.5), 3.6), (v(6.0, -90.0, -26.0), 3.6));
+    carve(d, nostril, 2.5)
+}
+
+/// Lips with the slit between them, the groove above and the fold below.
+fn mouth(m: Vec3, head: f32) -> f32 {
+    let upper = chain(m, &[(v(0.0, -92.0, -54.5), 3.2), (v(5.0, -92.6, -53.5), 4.0), (v(22.0, -82.5, -58.5), 1.8)]);
+    let lower = chain(m, &[(v(0.0, -91.5, -63.5), 5.0), (v(10.0, -89.5, -62.5), 4.4), (v(21.5, -82.5, -59.0), 1.8)]);
+    let d = join(join(head, upper, 5.0), lower, 5.0);
+    let slit = chain(m, &[(v(0.0, -98.5, -58.2), 1.4), (v(7.0, -97.0, -57.6), 1.4), (v(25.0, -85.5, -59.3), 1.2)]);
+    let behind =
+        slit.min(chain(m, &[(v(0.0, -94.5, -58.2), 1.2), (v(8.0, -93.0, -57.8), 1.2), (v(24.0, -82.5, -59.3), 1.0)]));
+    let philtrum = limb(m, (v(0.0, -96.5, -42.0), 2.6), (v(0.0, -98.0, -51.0), 3.2));
+    let fold = limb(m, (v(0.0, -96.0, -72.5), 5.0), (v(12.0, -92.0, -72.5), 4.0));
+    let d = carve(d, behind, 2.0);
+    carve(carve(d, philtrum, 3.0), fold, 7.0)
+}
+
+/// The left ear: a tilted shell with rim, hollow, lobe and the canal's entrance.
+fn ear(m: Vec3, head: f32) -> f32 {
+    // Ear coordinates: a to the front along the shell, b outwards, c up.
+    let q = m - v(74.0, 14.0, 0.0);
+    let (a, b, c) = (-0.86 * q.y + -0.5 * q.x, 0.86 * q.x - 0.5 * q.y, q.z + 0.2 * q.y);
+    let e = v(a, b, c);
+    let shell = ellipsoid(e, v(-8.0, 4.0, 2.0), v(17.0, 4.5, 30.0));
+    let squashed = v(a * 1.75, b, c);
+    let helix = ring(squashed, v(-14.0, 6.5, 5.0), Vec3::Y, 24.5, 3.0);
+    let helix = meet(helix, -20.0 - c, 6.0);
+    let antihelix = chain(e, &[(v(-10.0, 7.0, 18.0), 2.4), (v(-13.0, 7.5, 2.0), 2.8), (v(-6.0, 6.5, -13.0), 2.8)]);
+    let lobe = ellipsoid(e, v(-3.0, 4.0, -25.0), v(8.0, 4.0, 8.0));
+    let tragus = ellipsoid(e, v(4.5, 6.0, -5.0), v(3.5, 4.0, 6.0));
+    let concha = ellipsoid(e, v(-3.0, 8.0, -2.0), v(7.5, 7.0, 12.0));
+    let d = join(join(shell, helix, 3.0), lobe, 6.0);
+    let d = join(d, antihelix, 2.5);
+    let d = join(head, d, 7.0);
+    join(carve(d, concha, 3.0), tragus, 3.0)
+}
+
+/// Hounsfield units of air, skin, fat and what lies beneath, blurred at their edges.
+pub fn layers(p: Vec3) -> f32 {
+    let d = surface(p);
+    if d > BLUR {
+        return hu::AIR;
+    }
+    let m = mirrored(p);
+    // Thin over the skull, thick under the chin and in the cheeks.
+    let fat = mix(2.5, 6.0, coverage(p.z - 10.0, 60.0)) + 1.2 * smooth(p / 14.0, 11);
+    let cheek = ellipsoid(m, v(44.0, -50.0, -46.0), v(17.0, 26.0, 22.0));
+    let in_ear = m.x > 76.0 && (-5.0..50.0).contains(&p.y) && scalp(p) > 1.0;
+    let deep = if in_ear { hu::CARTILAGE } else { mix(hu::FAT, hu::MUSCLE, coverage(d + SKIN + fat, BLUR)) };
+    let deep = mix(deep, hu::FAT, coverage(cheek, 8.0) * coverage(d + SKIN, BLUR));
+    let flesh = mix(hu::SKIN, deep, coverage(d + SKIN, BLUR));
+    mix(hu::AIR, flesh, coverage(d, BLUR))
+}
+
+/// Thickness of the skin, mm.
+const SKIN: f32 = 2.2;

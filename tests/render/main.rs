@@ -1,0 +1,7 @@
+//! Frames against closed forms, against slow twins bit for bit, and against each other.
+
+mod closed_form;
+mod equivalence;
+mod invariance;
+mod layering;
+mod scenes;

@@ -1,0 +1,77 @@
+//! Scenes that the tests share: small volumes, transfer functions, views.
+
+use shearwarp::classify::{ClassifiedVolume, Color, ControlPoint, TransferFunction};
+use shearwarp::render::{Algorithm, Background, Camera, Cancel, Image, Scene, Settings, View, render};
+use shearwarp::volume::{PreparedVolume, Volume};
+
+/// A volume under a transfer function, ready for any algorithm.
+pub struct Prepared {
+    pub prepared: PreparedVolume,
+    pub transfer: TransferFunction,
+    pub classified: ClassifiedVolume,
+}
+
+impl Prepared {
+    pub fn new(volume: Volume, transfer: TransferFunction, min_opacity: f64) -> Self {
+        let prepared = PreparedVolume::build(volume);
+        let classified = ClassifiedVolume::build(&prepared, &transfer, min_opacity);
+        Self { prepared, transfer, classified }
+    }
+
+    pub fn view(&self, camera: &Camera, width: u32, height: u32) -> View {
+        let volume = self.prepared.volume();
+        View::new(camera, volume.centre(), volume.radius(), width, height).unwrap()
+    }
+
+    pub fn frame(&self, view: &View, settings: &Settings) -> Image {
+        let scene = Scene { prepared: &self.prepared, transfer: &self.transfer, classified: Some(&self.classified) };
+        render(&scene, view, settings, &Cancel::default()).unwrap().0
+    }
+}
+
+/// Settings without shading over a transparent background, so that alpha can be read.
+pub fn plain(algorithm: Algorithm) -> Settings {
+    Settings {
+        algorithm,
+        background: Background::Transparent,
+        shading: None,
+        early_ray_termination: 1.0,
+        sample_distance: 0.5,
+        skipping: true,
+    }
+}
+
+/// Control points of (value, opacity), coloured along a fixed rainbow.
+pub fn transfer(points: &[(f64, f64)]) -> TransferFunction {
+    let colors = [[1.0, 0.9, 0.8], [0.9, 0.3, 0.2], [0.2, 0.8, 0.4], [0.3, 0.4, 1.0], [1.0, 1.0, 1.0]];
+    let points = points.iter().enumerate().map(|(at, &(value, opacity))| ControlPoint {
+        value,
+        opacity,
+        color: Color(colors[at % colors.len()]),
+    });
+    TransferFunction { points: points.collect(), opacity_distance: None, gradient_opacity: vec![] }
+}
+
+/// The same colour and extinction everywhere.
+pub fn medium(opacity: f64, opacity_distance: f64) -> TransferFunction {
+    TransferFunction { opacity_distance: Some(opacity_distance), ..transfer(&[(0.0, opacity)]) }
+}
+
+/// Runs on a pool of so many threads.
+pub fn on_threads<R: Send>(threads: usize, work: impl FnOnce() -> R + Send) -> R {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+/// Directions that look along every axis from both sides, oblique ones included: (azimuth, elevation).
+pub const ANGLES: [(f64, f64); 10] = [
+    (0.0, 0.0),
+    (180.0, 0.0),
+    (90.0, 0.0),
+    (270.0, 0.0),
+    (0.0, 90.0),
+    (0.0, -90.0),
+    (25.0, 10.0),
+    (205.0, -20.0),
+    (100.0, 30.0),
+    (290.0, -65.0),
+];
