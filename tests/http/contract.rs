@@ -21,7 +21,8 @@ fn names(list: &Value) -> BTreeSet<String> {
 #[test]
 fn it_lists_exactly_the_routers_paths() {
     let document = document();
-    let documented: BTreeSet<_> = document["paths"].as_mapping().unwrap().keys().map(|p| p.as_str().unwrap().to_owned()).collect();
+    let documented: BTreeSet<_> =
+        document["paths"].as_mapping().unwrap().keys().map(|p| p.as_str().unwrap().to_owned()).collect();
     assert_eq!(documented, router::paths().map(str::to_owned).collect());
 }
 
@@ -48,7 +49,10 @@ async fn every_path_has_exactly_its_methods() {
 #[test]
 fn its_lists_of_names_are_those_of_the_program() {
     let schemas = &document()["components"]["schemas"];
-    assert_eq!(names(&schemas["PresetName"]["enum"]), presets::all().iter().map(|preset| preset.name.clone()).collect());
+    assert_eq!(
+        names(&schemas["PresetName"]["enum"]),
+        presets::all().iter().map(|preset| preset.name.clone()).collect()
+    );
     assert_eq!(names(&schemas["Format"]["enum"]), Format::ALL.map(|format| format.name().to_owned()).into());
     assert_eq!(document()["info"]["version"], env!("CARGO_PKG_VERSION"));
 }

@@ -60,7 +60,9 @@ async fn wrong_queries_are_refused_by_the_name_that_the_client_wrote() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_not_there_is_404_and_what_cannot_be_done_with_it_405() {
     let service = Running::start("").await;
-    for path in ["/nowhere", "/v1/volumes/none", "/v1/volumes/none/frame.png", "/v1/presets/none", "/v1/volumes/ball/frame.gif"] {
+    for path in
+        ["/nowhere", "/v1/volumes/none", "/v1/volumes/none/frame.png", "/v1/presets/none", "/v1/volumes/ball/frame.gif"]
+    {
         let response = service.get(path).await;
         assert_eq!(response.status(), 404, "{path}");
         problem(response).await;

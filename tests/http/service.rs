@@ -20,9 +20,9 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const SIDE: usize = 24;
 
 /// A frame that takes minutes: what a test does not wait for.
-pub const SLOW: &str =
-    r#"{"algorithm": "raycast", "sample_distance": 0.01, "image": {"width": 4096, "height": 4096},
-        "early_ray_termination": 1, "transfer_function": {"points": [{"value": 0, "opacity": 0.001, "color": "#ffffff"}]}}"#;
+pub const SLOW: &str = r##"{"algorithm": "raycast", "sample_distance": 0.01, "early_ray_termination": 1,
+    "image": {"width": 2048, "height": 2048},
+    "transfer_function": {"points": [{"value": 0, "opacity": 0.001, "color": "#ffffff"}]}}"##;
 
 /// A running service with one volume, `ball`.
 pub struct Running {

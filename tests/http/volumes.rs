@@ -89,7 +89,9 @@ async fn metrics_count_requests_and_time_the_stages() {
     }
     let route = "route=\"/v1/volumes/{id}/frame.png\",method=\"GET\",status=\"200\"";
     assert!(text.contains(&format!("shearwarp_requests_total{{{route}}}")), "{text}");
-    for name in ["shearwarp_refused_total", "shearwarp_panics_total", "shearwarp_cancelled_total", "shearwarp_queue_depth"] {
+    for name in
+        ["shearwarp_refused_total", "shearwarp_panics_total", "shearwarp_cancelled_total", "shearwarp_queue_depth"]
+    {
         assert!(service.metric(name).await >= 0.0);
     }
     assert!(service.metric("shearwarp_classified_cache_entries").await >= 1.0);
