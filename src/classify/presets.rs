@@ -8,6 +8,7 @@
 //! The files of `config/presets` are embedded: what a reader sees there is what the program does.
 
 mod automatic;
+mod fitted;
 mod histogram;
 
 use std::sync::LazyLock;
@@ -17,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::TransferFunction;
 use crate::volume::Volume;
 pub use automatic::{AUTOMATIC, DefaultPreset, default_for};
+pub use fitted::FittedPresets;
 use histogram::Histogram;
 
 /// A transfer function with a name, as its file states it.

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use clap::{Arg, ArgMatches, Args, Command};
 use indicatif::ProgressBar;
 use shearwarp::classify::ClassifiedVolume;
+use shearwarp::classify::presets::FittedPresets;
 use shearwarp::render::{self, Algorithm, Cancel, Image, Scene, Timings, View};
 use shearwarp::service;
 use shearwarp::service::request::{ImageLimits, Kind, OPTIONS, RenderRequest, RequestError, ResolvedRequest};
@@ -104,7 +105,7 @@ impl Args for RequestArguments {
             };
             // Numbers may start with a minus.
             let long = option.name.replace('_', "-");
-            Arg::new(option.name).long(long).value_name(value_name).help(option.help).allow_hyphen_values(true)
+            Arg::new(option.name).long(long).value_name(value_name).help(option.help).allow_negative_numbers(true)
         });
         command.arg(request).args(options)
     }
@@ -143,7 +144,8 @@ pub struct Stage {
 impl Stage {
     /// Builds what the request needs. A refused request costs no structures.
     pub fn build(loaded: LoadedVolume, request: RenderRequest) -> Result<Self, Failure> {
-        let resolved = request.resolve(&loaded.volume, loaded.modality.as_deref(), &LIMITS).map_err(refused)?;
+        let presets = FittedPresets::of(&loaded.volume, loaded.modality.as_deref());
+        let resolved = request.resolve(&loaded.volume, &presets, &LIMITS).map_err(refused)?;
         let progress = spinner("gradients and octree");
         let prepared = PreparedVolume::build(loaded.volume);
         progress.set_message("run-length encodings");

@@ -134,7 +134,7 @@ impl Asked {
     ) -> Result<Self, Problem> {
         let arrived = Instant::now();
         let request = request.with_format(format)?;
-        let frame = request.resolve(volume.volume(), volume.modality.as_deref(), &app.config.image.limits())?;
+        let frame = request.resolve(volume.volume(), &volume.presets, &app.config.image.limits())?;
         let etag = etag(&volume, &frame, format);
         Ok(Self { arrived, id, volume, frame, format, etag })
     }

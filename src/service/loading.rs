@@ -112,7 +112,7 @@ async fn load(app: Arc<App>, entry: Arc<Entry>) {
     let built: Result<_, String> = ticket
         .run(move |_| {
             let volume = read(&source.source, &limits)?;
-            Ok(Arc::new(LoadedVolume::build(volume, source.modality.clone())))
+            Ok(Arc::new(LoadedVolume::build(volume, source.modality.as_deref())))
         })
         .await
         .map_err(|panic| panic.to_string())
@@ -132,7 +132,7 @@ async fn load(app: Arc<App>, entry: Arc<Entry>) {
                 non_finite = report.non_finite,
                 quantized = report.quantized,
                 volumes_left_out = report.volumes_left_out,
-                preset = volume.default_preset,
+                preset = volume.presets.default.name,
                 seconds = start.elapsed().as_secs_f64(),
                 "volume is ready"
             );
@@ -152,7 +152,7 @@ fn read(source: &Source, limits: &decode::Limits) -> Result<Volume, String> {
 /// Builds what the empty request needs, so that the first frame is as fast as the second.
 async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
     let resolved = RenderRequest::from_json(EMPTY_REQUEST)
-        .and_then(|request| request.resolve(volume.volume(), volume.modality.as_deref(), &app.config.image.limits()))
+        .and_then(|request| request.resolve(volume.volume(), &volume.presets, &app.config.image.limits()))
         .map_err(|error| error.to_string())?;
     let ticket = app.pool.own_work();
     app.store

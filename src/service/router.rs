@@ -39,16 +39,45 @@ pub fn paths() -> impl Iterator<Item = &'static str> {
     routes().into_iter().map(|(path, _)| path)
 }
 
-/// All routes; every failure, the router's own included, is a problem+json.
+/// All routes.
 pub(super) fn router(app: Arc<App>) -> Router {
     let limit = app.config.http.max_body_bytes.get();
-    routes()
-        .into_iter()
-        .fold(Router::new(), |router, (path, methods)| router.route(path, methods))
+    let routes = routes().into_iter().fold(Router::new(), |router, (path, methods)| router.route(path, methods));
+    around(routes, limit).with_state(app)
+}
+
+/// What is around every route: its failures, the router's own and panics included, are
+/// problem+json, and every answer is logged and counted.
+fn around<S: Clone + Send + Sync + 'static>(routes: Router<S>, body_limit: usize) -> Router<S> {
+    routes
         .fallback(async || Problem::NoSuchRoute)
         .method_not_allowed_fallback(async || Problem::MethodNotAllowed)
-        .layer(DefaultBodyLimit::max(limit))
+        .layer(DefaultBodyLimit::max(body_limit))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(observe::observe))
-        .with_state(app)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::error::ProblemBody;
+
+    async fn defective() -> &'static str {
+        panic!("a defect in a handler")
+    }
+
+    #[tokio::test]
+    async fn a_panic_in_a_handler_is_500_and_the_service_lives_on() {
+        let routes = Router::new().route("/defect", get(defective)).route("/sound", get(async || "sound"));
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let base = format!("http://{}", listener.local_addr().unwrap());
+        tokio::spawn(async { axum::serve(listener, around(routes, 1000)).await });
+        let response = reqwest::get(format!("{base}/defect")).await.unwrap();
+        assert_eq!(response.status(), 500);
+        assert_eq!(response.headers()["content-type"], "application/problem+json");
+        let problem: ProblemBody = response.json().await.unwrap();
+        assert_eq!((problem.status, problem.r#type.as_str()), (500, "urn:shearwarp:problem:internal"));
+        let response = reqwest::get(format!("{base}/sound")).await.unwrap();
+        assert_eq!(response.text().await.unwrap(), "sound");
+    }
 }

@@ -20,7 +20,7 @@ use super::error::Problem;
 use super::metrics;
 use super::render_pool::{PoolError, Ticket};
 use super::request::ResolvedRequest;
-use crate::classify::presets;
+use crate::classify::presets::FittedPresets;
 use crate::classify::{ClassifiedVolume, TransferFunction};
 use crate::volume::histogram::Histogram;
 use crate::volume::{PreparedVolume, Scalars, Volume};
@@ -81,20 +81,18 @@ impl Entry {
 pub struct LoadedVolume {
     pub prepared: PreparedVolume,
     pub histogram: Histogram,
-    /// Name of the transfer function that a request gets which names none.
-    pub default_preset: &'static str,
-    pub modality: Option<String>,
+    pub presets: FittedPresets,
     /// Names the content: voxels, rescale and placement.
     pub fingerprint: u128,
 }
 
 impl LoadedVolume {
     /// Builds the structures on the current rayon pool.
-    pub fn build(volume: Volume, modality: Option<String>) -> Self {
+    pub fn build(volume: Volume, modality: Option<&str>) -> Self {
         let fingerprint = fingerprint(&volume);
         let histogram = Histogram::of(&volume);
-        let default_preset = presets::default_for(&volume, modality.as_deref()).name;
-        Self { prepared: PreparedVolume::build(volume), histogram, default_preset, modality, fingerprint }
+        let presets = FittedPresets::of(&volume, modality);
+        Self { prepared: PreparedVolume::build(volume), histogram, presets, fingerprint }
     }
 
     /// What was measured.
@@ -277,4 +275,100 @@ fn total(classified: &ClassifiedVolume) -> u64 {
 /// Weights are 32 bits wide, hence KiB: up to 4 TiB.
 fn kib(bytes: u64) -> u32 {
     u32::try_from(bytes.div_ceil(1024)).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::num::{NonZeroU64, NonZeroUsize};
+    use std::time::Duration;
+
+    use super::*;
+    use crate::classify::{Color, ControlPoint};
+    use crate::service::config;
+    use crate::service::render_pool::RenderPool;
+    use crate::volume::phantom;
+
+    fn pool() -> RenderPool {
+        RenderPool::new(&config::Render {
+            threads: 2,
+            jobs: NonZeroUsize::MIN,
+            queue: 100,
+            retry_after_seconds: NonZeroU64::MIN,
+            deadline: Duration::from_secs(60),
+        })
+        .unwrap()
+    }
+
+    fn classification(opacity: f64) -> Classification {
+        let point = |value, opacity| ControlPoint { value, opacity, color: Color([1.0; 3]) };
+        let transfer = TransferFunction {
+            points: vec![point(0.0, 0.0), point(200.0, opacity)],
+            opacity_distance: Some(1.0),
+            gradient_opacity: vec![],
+        };
+        Classification { transfer, min_opacity: 0.002 }
+    }
+
+    fn ball(radius: f64) -> Arc<LoadedVolume> {
+        Arc::new(LoadedVolume::build(phantom::ball(24, radius, 200, 1.0), None))
+    }
+
+    fn store(bytes: u64) -> Arc<Store> {
+        Arc::new(Store::new(vec![], bytes, None, 1))
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn requests_at_the_same_time_share_one_build() {
+        let (store, pool, volume) = (store(1 << 30), pool(), ball(8.0));
+        let requests = (0..20).map(|_| {
+            let (store, volume, ticket) = (Arc::clone(&store), Arc::clone(&volume), pool.admit().unwrap());
+            tokio::spawn(async move { store.classified(&ticket, &volume, classification(0.5), false).await.unwrap() })
+        });
+        let mut built = vec![];
+        for request in requests.collect::<Vec<_>>() {
+            built.push(request.await.unwrap());
+        }
+        assert!(built.iter().all(|one| Arc::ptr_eq(one, &built[0])));
+        let other = store.classified(&pool.own_work(), &volume, classification(0.6), false).await.unwrap();
+        assert!(!Arc::ptr_eq(&other, &built[0]));
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_build_outlives_the_client_that_began_it() {
+        let (store, pool, volume) = (store(1 << 30), pool(), ball(8.0));
+        let ticket = pool.own_work();
+        let first = store.classified(&ticket, &volume, classification(0.5), false);
+        // Polled once, which hands the build over, and dropped.
+        assert!(tokio::time::timeout(Duration::ZERO, first).await.is_err());
+        while store.cache_size().await.0 == 0 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn the_least_recently_used_go_when_the_bytes_are_used_up() {
+        let (pool, volume) = (pool(), ball(8.0));
+        let one = {
+            let store = store(1 << 30);
+            store.classified(&pool.own_work(), &volume, classification(0.5), false).await.unwrap();
+            store.cache_size().await.1
+        };
+        let store = store(3 * one + one / 2);
+        for opacity in [0.50, 0.51, 0.52, 0.53, 0.54, 0.55] {
+            store.classified(&pool.own_work(), &volume, classification(opacity), false).await.unwrap();
+            assert!(store.cache_size().await.1 <= 3 * one + one / 2);
+        }
+        assert_eq!(store.cache_size().await.0, 3);
+        let newest = classification(0.55).key(&volume);
+        assert!(store.classified.get(&newest).await.is_some());
+    }
+
+    #[test]
+    fn a_volume_is_named_by_its_content() {
+        assert_eq!(ball(8.0).fingerprint, ball(8.0).fingerprint);
+        assert_ne!(ball(8.0).fingerprint, ball(7.0).fingerprint);
+        let softer = LoadedVolume::build(phantom::ball(24, 8.0, 200, 2.0), None);
+        assert_ne!(ball(8.0).fingerprint, softer.fingerprint);
+        assert_ne!(classification(0.5).key(&ball(8.0)), classification(0.6).key(&ball(8.0)));
+    }
 }

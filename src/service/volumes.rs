@@ -134,7 +134,7 @@ impl Facts {
             scalar_type: report.scalar_type.name(),
             components: 1,
             value_range: [low, high],
-            default_preset: loaded.default_preset,
+            default_preset: loaded.presets.default.name,
             import: Import {
                 format: report.format,
                 non_finite: report.non_finite,

@@ -1,7 +1,8 @@
 //! [`RenderRequest`] + volume -> what the renderer takes, with every default filled in.
 
 use super::{AlgorithmChoice, InvalidField, Quality, RenderRequest, RequestError, ShadingChoice, Transfer};
-use crate::classify::{TransferFunction, presets};
+use crate::classify::TransferFunction;
+use crate::classify::presets::{self, FittedPresets};
 use crate::encode::Format;
 use crate::render::{self, Algorithm, Projection, RenderError, Settings, Shading, View};
 use crate::volume::Volume;
@@ -41,7 +42,7 @@ pub struct ResolvedRequest {
 }
 
 impl RenderRequest {
-    /// The request on `volume`, whose modality is free text, if known.
+    /// The request on `volume`, to which `presets` were fitted.
     ///
     /// # Errors
     /// [`RequestError::Refused`] for an image over the limits, an unknown preset, a degenerate
@@ -49,10 +50,10 @@ impl RenderRequest {
     pub fn resolve(
         &self,
         volume: &Volume,
-        modality: Option<&str>,
+        presets: &FittedPresets,
         limits: &ImageLimits,
     ) -> Result<ResolvedRequest, RequestError> {
-        self.resolve_json(volume, modality, limits).map_err(|error| error.spelled(self.spelling))
+        self.resolve_json(volume, presets, limits).map_err(|error| error.spelled(self.spelling))
     }
 
     /// What the camera sees of `volume`. Pointers are those of the JSON request.
@@ -68,12 +69,12 @@ impl RenderRequest {
     fn resolve_json(
         &self,
         volume: &Volume,
-        modality: Option<&str>,
+        presets: &FittedPresets,
         limits: &ImageLimits,
     ) -> Result<ResolvedRequest, RequestError> {
         self.keep_to(limits)?;
         let view = self.view(volume)?;
-        let (mut transfer, shaded) = self.transfer(volume, modality)?;
+        let (mut transfer, shaded) = self.transfer(presets)?;
         transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
         let algorithm = self.algorithm(&view);
         let shading = match &self.shading {
@@ -117,19 +118,16 @@ impl RenderRequest {
     }
 
     /// The transfer function, and whether it asks for shading.
-    fn transfer(&self, volume: &Volume, modality: Option<&str>) -> Result<(TransferFunction, bool), RequestError> {
+    fn transfer(&self, presets: &FittedPresets) -> Result<(TransferFunction, bool), RequestError> {
         match &self.transfer {
-            Transfer::Automatic => {
-                let choice = presets::default_for(volume, modality);
-                Ok((choice.transfer, choice.shading))
-            }
+            Transfer::Automatic => Ok((presets.default.transfer.clone(), presets.default.shading)),
             Transfer::Preset(name) => {
-                let preset = presets::get(name).ok_or_else(|| {
+                let (preset, fitted) = presets.get(name).ok_or_else(|| {
                     let names: Vec<_> = presets::all().iter().map(|preset| preset.name.as_str()).collect();
                     let detail = format!("unknown preset, expected one of {}", names.join(", "));
                     RequestError::refused("/transfer_function", detail)
                 })?;
-                Ok((preset.transfer_function(volume), preset.shading))
+                Ok((fitted.clone(), preset.shading))
             }
             Transfer::Given(transfer) => Ok((transfer.clone(), true)),
         }
@@ -198,7 +196,7 @@ mod tests {
     }
 
     fn resolve(json: &str) -> Result<ResolvedRequest, RequestError> {
-        RenderRequest::from_json(json.as_bytes())?.resolve(&volume(), None, &LIMITS)
+        RenderRequest::from_json(json.as_bytes())?.resolve(&volume(), &FittedPresets::of(&volume(), None), &LIMITS)
     }
 
     fn pointer(result: Result<ResolvedRequest, RequestError>) -> String {
@@ -295,7 +293,7 @@ mod tests {
         let refused = resolve(r#"{"transfer_function": "no-such"}"#).unwrap_err().to_string();
         assert!(refused.starts_with("/transfer_function: ") && refused.contains("gray-ramp"), "{refused}");
         let query = RenderRequest::from_query("preset=no-such").unwrap();
-        assert_eq!(pointer(query.resolve(&volume(), None, &LIMITS)), "/preset");
+        assert_eq!(pointer(query.resolve(&volume(), &FittedPresets::of(&volume(), None), &LIMITS)), "/preset");
     }
 
     #[test]
@@ -321,7 +319,10 @@ mod tests {
             "azimuth=30.0&fov_y=4e1&projection=perspective&width=64&preset=gray-ramp&shading=false&quality=draft";
         for background in ["102030", "%23102030"] {
             let query = RenderRequest::from_query(&format!("{rest}&background={background}")).unwrap();
-            assert_eq!(query.resolve(&volume(), None, &LIMITS).unwrap(), resolve(json).unwrap());
+            assert_eq!(
+                query.resolve(&volume(), &FittedPresets::of(&volume(), None), &LIMITS).unwrap(),
+                resolve(json).unwrap()
+            );
         }
     }
 }

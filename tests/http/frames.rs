@@ -1,0 +1,146 @@
+//! Frames, their formats, and what keeps clients from asking for them again.
+
+use reqwest::Method;
+
+use crate::service::{Running, header};
+
+const PNG: &str = "/v1/volumes/ball/frame.png?width=40&height=30&azimuth=20";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_comes_with_its_timings_algorithm_and_validators() {
+    let service = Running::start("").await;
+    let response = service.get(PNG).await;
+    assert_eq!(response.status(), 200);
+    assert_eq!(header(&response, "content-type"), "image/png");
+    assert_eq!(header(&response, "x-render-algorithm"), "classified");
+    assert_eq!(header(&response, "vary"), "Accept");
+    assert_eq!(header(&response, "cache-control"), "no-cache");
+    let timing = header(&response, "server-timing").to_owned();
+    let stages: Vec<_> = timing.split(", ").map(|entry| entry.split(";dur=").next().unwrap()).collect();
+    assert_eq!(stages, ["queue", "prepare", "shade", "composite", "warp", "encode", "total"]);
+    let total: f64 = timing.rsplit("dur=").next().unwrap().parse().unwrap();
+    assert!(total > 0.0);
+    let bytes = response.bytes().await.unwrap();
+    assert!(bytes.starts_with(b"\x89PNG"));
+    assert_eq!(bytes[16..24], [0, 0, 0, 40, 0, 0, 0, 30]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_frame_shows_the_volume_and_not_one_colour() {
+    let service = Running::start("").await;
+    let response = service.get("/v1/volumes/ball/frame.raw?width=32&height=32").await;
+    let size = ["x-image-width", "x-image-height", "x-image-channels"].map(|name| header(&response, name).to_owned());
+    assert_eq!(size, ["32", "32", "3"]);
+    let pixels = response.bytes().await.unwrap();
+    assert_eq!(pixels.len(), 32 * 32 * 3);
+    let brightness = |x: usize, y: usize| pixels[3 * (32 * y + x)..][..3].iter().copied().max().unwrap();
+    assert_eq!(brightness(0, 0), 0);
+    assert!(brightness(16, 16) > 20, "{}", brightness(16, 16));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_request_gives_the_same_bytes_by_query_by_body_and_again() {
+    let service = Running::start("").await;
+    let by_query = service.get(PNG).await;
+    let etag = header(&by_query, "etag").to_owned();
+    let by_query = by_query.bytes().await.unwrap();
+    let body = r#"{"camera": {"azimuth": 20}, "image": {"height": 30, "width": 40}}"#;
+    let by_body = service.post("/v1/volumes/ball/frame", body).await;
+    assert_eq!(header(&by_body, "etag"), etag);
+    assert_eq!(by_body.bytes().await.unwrap(), by_query);
+    assert_eq!(service.get(PNG).await.bytes().await.unwrap(), by_query);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_known_frame_is_304_and_another_one_is_not() {
+    let service = Running::start("").await;
+    let etag = header(&service.get(PNG).await, "etag").to_owned();
+    for known in [etag.clone(), format!("W/{etag}"), format!("\"x\", {etag}"), "*".into()] {
+        for method in [Method::GET, Method::HEAD] {
+            let response = service.request(method, PNG).header("if-none-match", &known).send().await.unwrap();
+            assert_eq!(response.status(), 304, "{known}");
+            assert_eq!(header(&response, "etag"), etag);
+            assert_eq!(header(&response, "server-timing"), "", "nothing was rendered");
+            assert!(response.bytes().await.unwrap().is_empty());
+        }
+    }
+    let others = [PNG.replace("azimuth=20", "azimuth=21"), PNG.replace("frame.png", "frame.webp")];
+    for other in others {
+        let response = service.request(Method::GET, &other).header("if-none-match", &etag).send().await.unwrap();
+        assert_eq!(response.status(), 200, "{other}");
+        assert_ne!(header(&response, "etag"), etag);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn head_is_get_without_the_body() {
+    let service = Running::start("").await;
+    let got = service.get(PNG).await;
+    let asked = service.request(Method::HEAD, PNG).send().await.unwrap();
+    assert_eq!(asked.status(), 200);
+    for name in ["etag", "content-type", "content-length", "x-render-algorithm"] {
+        assert_eq!(header(&asked, name), header(&got, name), "{name}");
+    }
+    assert!(asked.bytes().await.unwrap().is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn accept_chooses_where_the_request_leaves_the_format_open() {
+    let service = Running::start("").await;
+    let small = r#"{"image": {"width": 8, "height": 8}}"#;
+    let named = r#"{"image": {"width": 8, "height": 8, "format": "webp"}}"#;
+    let transparent = r##"{"image": {"width": 8, "height": 8, "background": "transparent"}}"##;
+    for (accept, body, expected) in [
+        ("*/*", small, "image/png"),
+        ("image/*", small, "image/png"),
+        ("image/jpeg", small, "image/jpeg"),
+        ("image/png;q=0.1, image/webp", small, "image/webp"),
+        ("application/octet-stream", small, "application/octet-stream"),
+        ("image/jpeg", named, "image/webp"),
+        ("image/jpeg, image/webp;q=0.5", transparent, "image/webp"),
+        ("text/html", small, "application/problem+json"),
+        ("image/jpeg", transparent, "application/problem+json"),
+    ] {
+        let request = service.request(Method::POST, "/v1/volumes/ball/frame").header("accept", accept);
+        let response = request.header("content-type", "application/json").body(body).send().await.unwrap();
+        assert_eq!(header(&response, "content-type"), expected, "{accept} {body}");
+        let status = if expected.contains("problem") { 406 } else { 200 };
+        assert_eq!(response.status(), status, "{accept} {body}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_extension_gives_its_format() {
+    let service = Running::start("").await;
+    for (extension, media_type, start) in [
+        ("png", "image/png", &b"\x89PNG"[..]),
+        ("jpg", "image/jpeg", b"\xff\xd8\xff"),
+        ("jpeg", "image/jpeg", b"\xff\xd8\xff"),
+        ("webp", "image/webp", b"RIFF"),
+        ("raw", "application/octet-stream", b"\0\0\0"),
+    ] {
+        let response = service.get(&format!("/v1/volumes/ball/frame.{extension}?width=8&height=8")).await;
+        assert_eq!(header(&response, "content-type"), media_type);
+        assert!(response.bytes().await.unwrap().starts_with(start), "{extension}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_body_is_optional_and_may_name_the_reference_algorithm() {
+    let service = Running::start("").await;
+    let response = service.request(Method::POST, "/v1/volumes/ball/frame").send().await.unwrap();
+    assert_eq!((response.status().as_u16(), header(&response, "content-type")), (200, "image/png"));
+    let body = r#"{"algorithm": "raycast", "image": {"width": 8, "height": 8}}"#;
+    let response = service.post("/v1/volumes/ball/frame", body).await;
+    assert_eq!(header(&response, "x-render-algorithm"), "raycast");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_sane_request_id_is_kept_and_another_replaced() {
+    let service = Running::start("").await;
+    let response = service.request(Method::GET, "/healthz").header("x-request-id", "mine-1").send().await.unwrap();
+    assert_eq!(header(&response, "x-request-id"), "mine-1");
+    let response = service.request(Method::GET, "/nowhere").header("x-request-id", "not mine").send().await.unwrap();
+    assert!(!header(&response, "x-request-id").contains(' '));
+    assert!(!header(&response, "x-request-id").is_empty());
+}

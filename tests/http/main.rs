@@ -1,0 +1,10 @@
+//! The service over real sockets: one binary, one running service a test.
+
+mod cache_folder;
+mod contract;
+mod errors;
+mod frames;
+mod overload;
+mod service;
+mod shutdown;
+mod volumes;
