@@ -1,9 +1,9 @@
 //! Generated volumes: the built-in head, and analytic phantoms for tests and benches.
 
 mod analytic;
+mod head;
 mod random;
+mod shape;
 
 pub use analytic::{ball, cube, from_fn, noise, ramp, uniform};
-mod head;
-mod shape;
 pub use head::head;

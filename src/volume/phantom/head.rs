@@ -1,8 +1,8 @@
 //! The built-in demo volume: a CT angiography of a head that nobody owns.
 //!
 //! Anatomy is modelled as solids ([`super::shape`]) in millimetres around the middle of the head, x
-//! to the left, y to the back, z up, and painted one over the other: flesh, bone, teeth, airways,
-//! brain, then fat, skin and the air outside, at last vessels. Every edge is blurred over [`BLUR`] as a scanner does, so
+//! to the left, y to the back, z up, and painted one over the other: flesh, fat and skin, bone,
+//! teeth, airways, brain, vessels, at last the air outside. Every edge is blurred over [`BLUR`] as a scanner does, so
 //! that surfaces come out smooth, and a little noise lies over everything.
 //!
 //! To be quick, voxels are made in blocks of 8^3, and these in blocks of 4^3. A part's distance from
@@ -29,7 +29,7 @@ const SPACING: f32 = 1.2;
 /// HU of code 0.
 const INTERCEPT: f32 = -1024.0;
 /// Edges are this wide, mm: the point spread of a soft reconstruction kernel.
-const BLUR: f32 = 3.0;
+const BLUR: f32 = 2.5;
 /// Standard deviation of the scanner's noise, HU.
 const NOISE: f32 = 7.0;
 /// Edges of blocks, voxels. The small ones divide the large ones, the large ones the volume.
@@ -67,7 +67,9 @@ pub fn head() -> Volume {
     let mut codes = vec![0_u16; DIMS.iter().product()];
     codes.par_chunks_mut(nx * ny * BLOCK).enumerate().for_each(|(layer, codes)| {
         let k0 = layer * BLOCK;
+        let vessels: Vec<_> = vessels.iter().filter(|vessel| near_blocks(vessel, 2, k0)).collect();
         for j0 in (0..ny).step_by(BLOCK) {
+            let vessels: Vec<_> = vessels.iter().copied().filter(|vessel| near_blocks(vessel, 1, j0)).collect();
             for i0 in (0..nx).step_by(BLOCK) {
                 paint_block(codes, [i0, j0, k0], &vessels);
             }
@@ -89,8 +91,14 @@ fn origin() -> Vec3 {
     v(x, y, z)
 }
 
+/// Whether a vessel comes near the sheet of blocks that starts at voxel `first` along `axis`.
+fn near_blocks(vessel: &Vessel, axis: usize, first: usize) -> bool {
+    let half = 0.5 * SPACING * (BLOCK - 1) as f32;
+    vessel.near_plane(axis, origin()[axis] + SPACING * first as f32 + half, half + BLUR)
+}
+
 /// Paints the block at voxel `first` into `codes`, the layer of slices that it lies in.
-fn paint_block(codes: &mut [u16], first: [usize; 3], vessels: &[Vessel]) {
+fn paint_block(codes: &mut [u16], first: [usize; 3], vessels: &[&Vessel]) {
     let corner = origin() + SPACING * v(first[0] as f32, first[1] as f32, first[2] as f32);
     let near = Near::to_block(corner, BLOCK, None, vessels);
     for k in (0..BLOCK).step_by(SMALL_BLOCK) {
@@ -104,7 +112,7 @@ fn paint_block(codes: &mut [u16], first: [usize; 3], vessels: &[Vessel]) {
     }
 }
 
-fn paint_small_block(codes: &mut [u16], [i0, j0, k0]: [usize; 3], corner: Vec3, near: &Near) {
+fn paint_small_block(codes: &mut [u16], [i0, j0, k0]: [usize; 3], corner: Vec3, near: &Near<'_>) {
     let [nx, ny, _] = DIMS;
     for k in 0..SMALL_BLOCK {
         for j in 0..SMALL_BLOCK {
@@ -174,22 +182,22 @@ impl Parts {
 }
 
 /// What may reach into a block.
-struct Near {
+struct Near<'a> {
     parts: Parts,
-    vessels: Vec<Vessel>,
+    vessels: Vec<&'a Vessel>,
 }
 
-impl Near {
+impl<'a> Near<'a> {
     /// Of `parts` (all of them unless told) and `vessels`, what may reach into the block of `size`
     /// voxels whose first one lies at `corner`.
-    fn to_block(corner: Vec3, size: usize, parts: Option<&Parts>, vessels: &[Vessel]) -> Self {
+    fn to_block(corner: Vec3, size: usize, parts: Option<&Parts>, vessels: &[&'a Vessel]) -> Self {
         let half = 0.5 * SPACING * (size - 1) as f32;
         let middle = corner + Vec3::splat(half);
         // From the middle to a corner, and as far as edges are blurred.
         let radius = half * 1.733 + 0.5 * BLUR;
         // Distances are approximate: trust four fifths of them.
         let parts = parts.unwrap_or(&Parts::ALL).within(middle, 1.25 * radius);
-        let close = |vessel: &&Vessel| parts.body && vessel.distance(middle) < radius;
+        let close = |vessel: &&&Vessel| parts.body && vessel.distance(middle) < radius;
         Self { parts, vessels: vessels.iter().filter(close).copied().collect() }
     }
 
@@ -208,17 +216,17 @@ impl Near {
             brain::value(p, cavity)
         } else {
             let mut value = skull::deep_soft_tissue(p, parts, skin);
-            value = skull::bones(p, cavity, parts, value);
+            if parts.surface {
+                value = skin::layers(p, skin, value);
+            }
+            value = skull::bones(p, cavity, skin, parts, value);
             let share = coverage(cavity, BLUR);
             if share > 0.0 { mix(value, brain::value(p, cavity), share) } else { value }
         };
-        if parts.surface {
-            value = skin::layers(p, skin, value);
-        }
         for vessel in &self.vessels {
             value = mix(value, vessel.hu, coverage(vessel.distance(p), BLUR));
         }
-        value
+        mix(value, hu::AIR, coverage(-skin, BLUR))
     }
 }
 

@@ -31,7 +31,8 @@ pub fn value(p: Vec3, cavity: f32) -> f32 {
     // Fluid around everything, in the fissures and in the ventricles.
     let matter = mix(matter, hu::FLUID, coverage(falx - 1.4, BLUR));
     let matter = mix(matter, hu::FLUID, coverage(below_tent.abs() - 1.2, BLUR));
-    let matter = mix(matter, hu::FLUID, coverage(ventricles(m), BLUR));
+    // The ventricles lie deep.
+    let matter = if cavity < -10.0 { mix(matter, hu::FLUID, coverage(ventricles(m), BLUR)) } else { matter };
     mix(matter, hu::FLUID, coverage(-cavity - 2.0, BLUR))
 }
 

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::super::random::{mix, smooth};
+use super::super::random::mix;
 use super::super::shape::{carve, chain, coverage, ellipsoid, join, limb, meet, mirrored, ring, sphere, v};
 use super::{BLUR, hu};
 
@@ -47,8 +47,8 @@ fn jaws(m: Vec3) -> f32 {
     let midface = ellipsoid(m, v(0.0, -38.0, -14.0), v(60.0, 46.0, 46.0));
     let cheek = ellipsoid(m, v(38.0, -56.0, -24.0), v(22.0, 20.0, 20.0));
     let muzzle = ellipsoid(m, v(0.0, -58.0, -52.0), v(36.0, 36.0, 32.0));
-    let side = ellipsoid(m, v(50.0, -18.0, -28.0), v(20.0, 40.0, 42.0));
-    let jaw = chain(m, &[(v(48.0, 2.0, -46.0), 11.0), (v(43.0, -20.0, -70.0), 12.0), (v(18.0, -68.0, -88.0), 13.0)]);
+    let side = ellipsoid(m, v(48.0, -18.0, -24.0), v(21.5, 43.0, 42.0));
+    let jaw = chain(m, &[(v(48.0, 2.0, -46.0), 11.0), (v(43.0, -20.0, -70.0), 14.0), (v(18.0, -68.0, -88.0), 14.0)]);
     let floor = ellipsoid(m, v(0.0, -36.0, -74.0), v(44.0, 42.0, 22.0));
     let chin = ellipsoid(m, v(0.0, -80.0, -88.0), v(17.0, 14.0, 14.0));
     let face = join(join(join(midface, cheek, 18.0), muzzle, 24.0), side, 20.0);
@@ -57,10 +57,10 @@ fn jaws(m: Vec3) -> f32 {
 
 /// Brow ridge, eye sockets, and closed lids over the eyeballs.
 fn eyes(m: Vec3, head: f32) -> f32 {
-    let brow = chain(m, &[(v(8.0, -84.0, 15.0), 6.0), (v(26.0, -82.0, 20.0), 6.5), (v(46.0, -68.0, 14.0), 6.0)]);
-    let socket = ellipsoid(m, v(31.0, -90.0, 2.0), v(18.0, 14.0, 11.5));
+    let brow = chain(m, &[(v(9.0, -83.0, 15.0), 5.5), (v(26.0, -81.0, 20.0), 5.5), (v(45.0, -67.0, 13.0), 5.0)]);
+    let socket = ellipsoid(m, v(30.5, -90.0, 2.0), v(17.0, 14.0, 11.5));
     let ball = sphere(m, EYE, 13.4);
-    let d = carve(join(head, brow, 9.0), socket, 10.0);
+    let d = carve(join(head, brow, 13.0), socket, 12.0);
     let d = join(d, ball, 3.5);
     // The crease above the lid and the slit between the lids, on the ball's surface.
     let q = m - EYE;
@@ -82,7 +82,7 @@ fn nose(m: Vec3, head: f32) -> f32 {
     let side = limb(m, (v(5.0, -84.0, -2.0), 8.0), (v(10.0, -90.0, -28.0), 9.0));
     let wing = ellipsoid(m, v(11.5, -94.0, -33.0), v(6.5, 9.5, 6.5));
     let columella = limb(m, (v(0.0, -103.0, -35.0), 3.2), (v(0.0, -91.0, -40.0), 4.0));
-    let d = join(head, side, 9.0);
+    let d = join(head, side, 16.0);
     let d = join(d, join(bridge, tip, 8.0), 6.0);
     let d = join(join(d, wing, 4.0), columella, 4.0);
     let nostril = limb(m, (v(6.8, -98.0, -39.5), 3.6), (v(6.0, -90.0, -26.0), 3.6));
@@ -91,10 +91,10 @@ fn nose(m: Vec3, head: f32) -> f32 {
 
 /// Lips with the slit between them, the groove above and the fold below.
 fn mouth(m: Vec3, head: f32) -> f32 {
-    let upper = chain(m, &[(v(0.0, -92.0, -54.5), 3.2), (v(5.0, -92.6, -53.5), 4.0), (v(22.0, -82.5, -58.5), 1.8)]);
-    let lower = chain(m, &[(v(0.0, -91.5, -63.5), 5.0), (v(10.0, -89.5, -62.5), 4.4), (v(21.5, -82.5, -59.0), 1.8)]);
-    let d = join(join(head, upper, 5.0), lower, 5.0);
-    let slit = chain(m, &[(v(0.0, -97.2, -58.6), 1.4), (v(8.0, -95.8, -58.0), 1.4), (v(21.0, -87.5, -59.2), 1.1)]);
+    let upper = chain(m, &[(v(0.0, -92.5, -54.2), 3.4), (v(5.5, -92.6, -53.4), 4.0), (v(24.0, -80.5, -58.6), 2.2)]);
+    let lower = chain(m, &[(v(0.0, -91.2, -64.2), 5.4), (v(11.0, -88.8, -63.2), 4.8), (v(23.5, -80.5, -59.4), 2.0)]);
+    let d = join(join(head, upper, 6.0), lower, 6.0);
+    let slit = chain(m, &[(v(0.0, -97.4, -58.8), 1.3), (v(8.0, -95.6, -58.2), 1.3), (v(21.0, -89.5, -59.6), 0.9)]);
     let philtrum = limb(m, (v(0.0, -96.5, -42.0), 2.6), (v(0.0, -98.0, -51.0), 3.2));
     let fold = limb(m, (v(0.0, -96.0, -72.5), 5.0), (v(12.0, -92.0, -72.5), 4.0));
     let d = carve(d, slit, 2.0);
@@ -121,15 +121,14 @@ fn ear(m: Vec3, head: f32) -> f32 {
     join(carve(d, concha, 3.0), tragus, 3.0)
 }
 
-/// Covers the flesh, `value`, with fat, skin and the air outside; the skin is `surface` mm away.
+/// Covers the flesh, `value`, with fat and skin; the skin's surface is `surface` mm away.
 pub fn layers(p: Vec3, surface: f32, value: f32) -> f32 {
     let m = mirrored(p);
     // Thin over the skull, thicker below; cartilage in place of fat in the ears.
-    let fat = mix(2.2, 5.0, coverage(p.z - 10.0, 60.0)) + 0.8 * smooth(p / 14.0, 11);
+    let fat = mix(2.2, 5.0, coverage(p.z - 10.0, 60.0));
     let in_ear = m.x > 76.0 && (-5.0..50.0).contains(&p.y) && scalp(p) > 1.0;
     let value = if in_ear { hu::CARTILAGE } else { mix(hu::FAT, value, coverage(surface + SKIN + fat, BLUR)) };
-    let value = mix(hu::SKIN, value, coverage(surface + SKIN, BLUR));
-    mix(hu::AIR, value, coverage(surface, BLUR))
+    mix(hu::SKIN, value, coverage(surface + SKIN, BLUR))
 }
 
 /// Thickness of the skin, mm.

@@ -16,8 +16,9 @@ pub const THICKEST: f32 = 9.0;
 /// The face grows out of the brain case with a seam this wide, mm.
 pub const SEAM: f32 = 8.0;
 
-/// Paints bone and all that goes with it over `value`; the brain's cavity is `cavity` mm away.
-pub fn bones(p: Vec3, cavity: f32, parts: &Parts, value: f32) -> f32 {
+/// Paints bone and all that goes with it over `value`; the brain's cavity is `cavity` mm away, the skin
+/// `skin` mm.
+pub fn bones(p: Vec3, cavity: f32, skin: f32, parts: &Parts, value: f32) -> f32 {
     let m = mirrored(p);
     let mut bone = if parts.vault { vault(p, m, cavity) } else { FAR };
     if parts.face {
@@ -32,6 +33,8 @@ pub fn bones(p: Vec3, cavity: f32, parts: &Parts, value: f32) -> f32 {
     if parts.spine {
         bone = bone.min(spine(m));
     }
+    // Nowhere does bone show through the skin.
+    let bone = bone.max(skin + 3.5);
     let mut value = value;
     if bone < 0.5 * BLUR {
         let marrow = coverage(bone + CORTEX + 0.6, 4.0);
@@ -50,8 +53,9 @@ fn vault(p: Vec3, m: Vec3, cavity: f32) -> f32 {
     let temple = ellipsoid(m, v(72.0, -20.0, 10.0), v(16.0, 36.0, 34.0));
     let outside = cavity - thickness + 2.0 * coverage(temple, 12.0);
     let shell = carve(outside, cavity, 1.0);
-    let sutures = sutures(p, m).max(-outside - 2.4);
-    let shell = carve(shell, sutures, 1.0);
+    // Sutures are seen from outside only.
+    let shell =
+        if p.z > 0.0 && outside.abs() < 6.0 { carve(shell, sutures(p, m).max(-outside - 2.4), 1.0) } else { shell };
     let foramen_magnum = limb(p, (v(0.0, 27.0, -70.0), 14.0), (v(0.0, 30.0, -20.0), 15.0));
     carve(shell, foramen_magnum, 3.0)
 }
@@ -69,13 +73,13 @@ fn sutures(p: Vec3, m: Vec3) -> f32 {
 /// Brow, cheekbones, upper jaw, and the processes below the skull's base.
 pub fn facial_bones(m: Vec3) -> f32 {
     let brow = chain(m, &[(v(0.0, -79.0, 15.0), 6.0), (v(20.0, -80.0, 21.0), 5.0), (v(42.0, -71.0, 17.0), 4.5)]);
-    let outer_rim = chain(m, &[(v(44.0, -70.0, 16.0), 4.5), (v(50.0, -63.0, 2.0), 4.0), (v(47.0, -66.0, -16.0), 5.5)]);
+    let outer_rim = chain(m, &[(v(45.0, -69.0, 17.0), 5.0), (v(52.5, -60.0, 3.0), 4.8), (v(49.0, -63.0, -14.0), 5.5)]);
     let cheekbone = ellipsoid(m, v(45.0, -64.0, -21.0), v(13.0, 9.0, 9.0));
     let lower_rim =
         chain(m, &[(v(44.0, -70.0, -16.0), 4.0), (v(28.0, -79.0, -17.0), 4.0), (v(14.0, -83.0, -8.0), 3.5)]);
-    let nasal = chain(m, &[(v(3.0, -81.0, 13.0), 4.0), (v(4.0, -88.0, -2.0), 3.0), (v(3.5, -95.0, -13.0), 2.0)]);
+    let nasal = chain(m, &[(v(2.5, -81.0, 13.0), 5.0), (v(3.0, -87.0, 0.0), 4.0), (v(3.0, -94.0, -12.0), 2.8)]);
     let beside_nose =
-        chain(m, &[(v(9.0, -80.0, 8.0), 3.5), (v(13.0, -83.0, -14.0), 4.0), (v(17.0, -80.0, -36.0), 5.0)]);
+        chain(m, &[(v(9.0, -80.0, 8.0), 4.0), (v(14.5, -82.0, -14.0), 4.5), (v(17.0, -80.0, -36.0), 6.0)]);
     let maxilla = ellipsoid(m, v(16.0, -62.0, -30.0), v(20.0, 22.0, 20.0));
     let alveolar = ellipsoid(m, v(0.0, -60.0, -46.0), v(30.0, 24.0, 9.0));
     let spine = limb(m, (v(0.0, -80.0, -39.0), 3.0), (v(0.0, -87.0, -38.0), 1.6));
@@ -100,8 +104,8 @@ fn processes(m: Vec3) -> f32 {
             (v(60.0, 4.0, -12.0), 5.0),
         ],
     );
-    let mastoid = limb(m, (v(58.0, 22.0, -12.0), 12.0), (v(53.0, 20.0, -34.0), 6.0));
-    let petrous = limb(m, (v(58.0, 14.0, -12.0), 10.0), (v(18.0, -6.0, -12.0), 7.0));
+    let mastoid = limb(m, (v(50.0, 22.0, -12.0), 11.0), (v(48.0, 20.0, -34.0), 6.0));
+    let petrous = limb(m, (v(54.0, 14.0, -12.0), 9.0), (v(18.0, -6.0, -12.0), 7.0));
     let styloid = limb(m, (v(46.0, 12.0, -26.0), 2.4), (v(42.0, 0.0, -54.0), 1.1));
     let pterygoid = limb(m, (v(18.0, -34.0, -16.0), 4.0), (v(20.0, -33.0, -46.0), 2.2));
     let condyle = ellipsoid(m, v(17.0, 20.0, -37.0), v(7.0, 11.0, 6.0));
@@ -110,17 +114,17 @@ fn processes(m: Vec3) -> f32 {
 
 /// Holes in the bone: eye sockets with their nerve's canal, the nose, sinuses, ear canals.
 pub fn openings(m: Vec3) -> f32 {
-    let socket = ellipsoid(m, v(31.5, -78.0, 2.0), v(19.5, 22.0, 16.5));
+    let socket = ellipsoid(m, v(30.5, -78.0, 1.5), v(17.5, 22.0, 15.5));
     let cone = limb(m, (v(29.0, -68.0, 2.0), 14.0), (v(14.0, -34.0, 4.0), 3.0));
     let fissure = limb(m, (v(24.0, -42.0, 2.0), 2.5), (v(36.0, -44.0, 10.0), 1.5));
     let pear = join(
-        ellipsoid(m, v(4.0, -84.0, -29.0), v(9.5, 14.0, 9.0)),
-        ellipsoid(m, v(0.0, -86.0, -19.0), v(7.0, 14.0, 10.0)),
+        ellipsoid(m, v(5.0, -86.0, -30.0), v(8.0, 14.0, 7.5)),
+        ellipsoid(m, v(0.0, -88.0, -21.0), v(6.5, 14.0, 9.0)),
         4.0,
     );
-    let cavity = slab(m, v(0.0, -54.0, -20.0), v(14.0, 34.0, 16.0), 5.0);
+    let cavity = ellipsoid(m, v(0.0, -52.0, -20.0), v(13.0, 34.0, 15.0));
     let maxillary = ellipsoid(m, v(28.0, -58.0, -27.0), v(12.0, 14.0, 13.0));
-    let frontal = ellipsoid(m, v(9.0, -78.5, 24.0), v(9.0, 3.5, 8.0));
+    let frontal = ellipsoid(m, v(8.0, -75.5, 24.0), v(7.0, 3.0, 6.5));
     let sphenoidal = ellipsoid(m, v(8.0, -26.0, -4.0), v(7.5, 10.0, 7.5));
     let canal = limb(m, (v(76.0, 12.0, -9.0), 3.6), (v(46.0, 8.0, -9.0), 3.0));
     let cheek_nerve = limb(m, (v(27.0, -86.0, -23.0), 1.6), (v(27.0, -74.0, -21.0), 1.4));
@@ -142,9 +146,9 @@ pub fn jaw(m: Vec3) -> f32 {
     let arch = [v(0.0, -80.5, 0.0), v(14.0, -77.0, 0.0), v(27.0, -58.0, 0.0), v(38.0, -34.0, 0.0), v(45.0, -10.0, 0.0)];
     let flat = v(m.x, m.y, 0.0);
     let across = arch.windows(2).map(|s| limb(flat, (s[0], 0.0), (s[1], 0.0))).fold(f32::INFINITY, f32::min);
-    let rise = 0.2 * (m.y + 82.0);
-    let height = m.z + 85.5 - rise;
-    let plate = v((across - 4.6).max(0.0), (height.abs() - 8.5).max(0.0), 0.0).length() - 3.2;
+    let rise = 0.13 * (m.y + 82.0);
+    let height = m.z + 83.5 - rise;
+    let plate = v((across - 3.2).max(0.0), (height.abs() - 10.5).max(0.0), 0.0).length() - 3.2;
     let body = meet(plate, m.y + 14.0, 6.0);
     let chin = ellipsoid(m, v(6.0, -84.0, -93.0), v(12.0, 5.0, 6.0));
     // The branch is flat: distances across count double.
@@ -232,7 +236,7 @@ fn teeth(m: Vec3, value: f32) -> f32 {
 
 /// Air inside the head: nose, sinuses, throat, windpipe, ear canals, the cells behind the ear.
 pub fn airways(m: Vec3) -> f32 {
-    let passage = slab(m, v(6.0, -56.0, -23.0), v(5.0, 34.0, 11.0), 3.0);
+    let passage = ellipsoid(m, v(5.0, -54.0, -22.0), v(7.5, 33.0, 13.0));
     let conchae = limb(m, (v(8.5, -70.0, -28.0), 3.2), (v(8.5, -38.0, -26.0), 3.2)).min(limb(
         m,
         (v(7.5, -70.0, -16.0), 2.8),
@@ -241,7 +245,7 @@ pub fn airways(m: Vec3) -> f32 {
     let nose = carve(passage, conchae, 1.5).max(0.0 - (m.x - 1.6));
     let nostril = limb(m, (v(6.8, -98.0, -39.5), 3.4), (v(6.0, -86.0, -27.0), 3.6));
     let maxillary = ellipsoid(m, v(28.0, -58.0, -27.0), v(11.0, 13.0, 12.0));
-    let frontal = ellipsoid(m, v(9.0, -78.5, 24.0), v(8.0, 2.8, 7.0));
+    let frontal = ellipsoid(m, v(8.0, -75.5, 24.0), v(6.5, 2.5, 6.0));
     let ethmoid = limb(m, (v(10.0, -68.0, 2.0), 3.6), (v(10.0, -44.0, 1.0), 4.2))
         .max((m.y * 0.16 - (m.y * 0.16).floor() - 0.5).abs() * 6.0 - 2.5);
     let sphenoidal = ellipsoid(m, v(8.0, -26.0, -4.0), v(6.8, 9.0, 6.8)).max(1.0 - m.x);
@@ -258,8 +262,8 @@ pub fn airways(m: Vec3) -> f32 {
     );
     let mouth = ellipsoid(m, v(0.0, -58.0, -49.0), v(19.0, 18.0, 2.4));
     let canal = limb(m, (v(84.0, 12.0, -8.0), 3.2), (v(48.0, 8.0, -9.0), 2.6));
-    let cells =
-        (smooth(m / 3.6, 35) * -3.0 + 0.4).max(limb(m, (v(57.0, 22.0, -12.0), 8.5), (v(54.0, 20.0, -30.0), 3.5)));
+    let behind_ear = limb(m, (v(47.0, 22.0, -13.0), 5.5), (v(47.0, 20.0, -27.0), 2.5));
+    let cells = if behind_ear < 3.0 { behind_ear.max(0.4 - 3.0 * smooth(m / 3.6, 35)) } else { behind_ear };
     let front = nose.min(nostril).min(maxillary).min(frontal).min(ethmoid).min(sphenoidal);
     front.min(throat).min(mouth).min(canal).min(cells)
 }
@@ -275,7 +279,7 @@ pub fn deep_soft_tissue(p: Vec3, parts: &Parts, surface: f32) -> f32 {
     }
     // Sheets of fat between muscles: where slow noise crosses zero.
     let strand = v(p.x / 15.0, p.y / 15.0, p.z / 40.0);
-    let sheets = (smooth(strand, 36) + 0.3 * smooth(strand * 2.3, 37)).abs() * 16.0 - 0.9;
+    let sheets = smooth(strand, 36).abs() * 16.0 - 0.9;
     mix(hu::MUSCLE, mix(hu::FAT, hu::MUSCLE, 0.25), coverage(meet(sheets, p.z + 8.0, 6.0), BLUR))
 }
 

@@ -15,6 +15,13 @@ pub struct Vessel {
 }
 
 impl Vessel {
+    /// Whether it comes within `reach` mm of the plane across `axis` (0, 1, 2) at `at`.
+    pub fn near_plane(&self, axis: usize, at: f32, reach: f32) -> bool {
+        let (from, to) = (self.from.0[axis] - at, self.to.0[axis] - at);
+        let thickest = self.from.1.max(self.to.1);
+        from.min(to) < reach + thickest && from.max(to) > -reach - thickest
+    }
+
     /// mm to its wall.
     pub fn distance(&self, p: Vec3) -> f32 {
         limb(p, self.from, self.to)
@@ -53,6 +60,7 @@ struct Bed {
 
 const CORTEX: Bed = Bed { surface: brain::cavity, depth: 3.5 };
 const SCALP: Bed = Bed { surface: skin::surface, depth: 4.0 };
+const FACE: Bed = Bed { surface: skin::surface, depth: 6.5 };
 
 impl Bed {
     fn normal(&self, p: Vec3) -> Vec3 {
@@ -158,19 +166,21 @@ impl Tree {
                 (70.0, 2.0, -8.0, 1.7),
             ],
         );
-        self.course(
-            hu::ARTERY,
-            side,
-            &[
-                (31.0, -8.0, -84.0, 1.5),
-                (42.0, -30.0, -88.0, 1.5),
-                (47.0, -44.0, -70.0, 1.4),
-                (33.0, -74.0, -58.0, 1.2),
-                (22.0, -84.0, -38.0, 1.1),
-                (16.0, -86.0, -14.0, 0.9),
-                (15.0, -84.0, 4.0, 0.7),
-            ],
-        );
+        // Around the jaw to the corner of the eye, under the skin.
+        let mut facial = vec![(31.0, -8.0, -84.0, 1.5)];
+        let under_skin = [
+            (40.0, -26.0, -84.0, 1.5),
+            (47.0, -44.0, -70.0, 1.4),
+            (33.0, -74.0, -58.0, 1.2),
+            (22.0, -84.0, -38.0, 1.1),
+            (16.0, -86.0, -14.0, 0.9),
+            (15.0, -84.0, 4.0, 0.7),
+        ];
+        facial.extend(under_skin.map(|(x, y, z, r)| {
+            let p = FACE.settle(v(x, y, z));
+            (p.x, p.y, p.z, r)
+        }));
+        self.course(hu::ARTERY, side, &facial);
         self.course(hu::ARTERY, side, &[(55.0, 4.0, -36.0, 1.4), (40.0, -14.0, -30.0, 1.3), (28.0, -30.0, -28.0, 1.0)]);
     }
 
