@@ -19,8 +19,8 @@ use rayon::prelude::*;
 
 use super::random::{bell, mix};
 use super::shape::{coverage, mirrored, v};
-use vessels::Vessel;
 use crate::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
+use vessels::Vessel;
 
 /// Voxels along x, y, z.
 const DIMS: [usize; 3] = [176, 208, 208];
