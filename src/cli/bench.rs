@@ -30,7 +30,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..))]
     frames: u32,
     /// Degrees from one frame to the next
-    #[arg(long, value_name = "DEGREES", default_value_t = 4.0, allow_hyphen_values = true)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 4.0, allow_negative_numbers = true)]
     step: f64,
     /// Threads for everything [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_THREADS))]

@@ -105,7 +105,7 @@ impl Args for RequestArguments {
             };
             // Numbers may start with a minus.
             let long = option.name.replace('_', "-");
-            Arg::new(option.name).long(long).value_name(value_name).help(option.help).allow_hyphen_values(true)
+            Arg::new(option.name).long(long).value_name(value_name).help(option.help).allow_negative_numbers(true)
         });
         command.arg(request).args(options)
     }

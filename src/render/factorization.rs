@@ -150,6 +150,14 @@ impl Factorization {
         view.clip().iter().map(to_sheared).collect()
     }
 
+    /// The slices lie between (0, 0) and this, intermediate pixels. The image has at least one
+    /// pixel more along either axis.
+    pub fn extent(&self) -> DVec2 {
+        let last_slice = (self.dims[2] - 1) as f64;
+        let offsets = [0.0, last_slice].map(|k| self.shear * k + self.translation);
+        offsets[0].max(offsets[1]) + DVec2::new((self.dims[0] - 1) as f64, (self.dims[1] - 1) as f64)
+    }
+
     /// Where slice `k` lies over the intermediate image.
     pub fn slice(&self, k: usize) -> SlicePlacement {
         let offset = (self.shear * k as f64 + self.translation) / OFFSET_STEP;

@@ -6,8 +6,6 @@
 //! non-opaque pixel is a count of trailing zeros away, marking a pixel opaque clears one bit in
 //! place of updating the links before it, and, which links cannot do, a run of voxels is
 //! intersected with 64 pixels in one instruction.
-//!
-//! A border of one transparent pixel on each side spares the warp all tests.
 
 use glam::Vec4;
 use rayon::prelude::*;
@@ -19,7 +17,6 @@ const WORD: usize = 64;
 #[derive(Clone, Debug, Default)]
 pub struct IntermediateImage {
     size: [usize; 2],
-    /// Rows of `size[0] + 2` pixels, `size[1] + 2` of them.
     pixels: Vec<Vec4>,
     /// Words of `non_opaque` per scanline: one more than its pixels need, so that a shifted mask
     /// can be read across the end.
@@ -32,7 +29,7 @@ pub struct IntermediateImage {
 pub struct Band<'a> {
     /// The first scanline's v.
     pub first: usize,
-    stride: usize,
+    width: usize,
     pixels: &'a mut [Vec4],
     words: usize,
     non_opaque: &'a mut [u64],
@@ -57,18 +54,13 @@ impl IntermediateImage {
         Self { size, pixels: vec![Vec4::ZERO; (width + 2) * (height + 2)], words, non_opaque: row.repeat(height) }
     }
 
-    /// Pixels along u and v, without the border.
+    /// Pixels along u and v.
     pub fn size(&self) -> [usize; 2] {
         self.size
     }
 
-    /// Distance between rows of [`Self::bordered_pixels`].
-    pub fn stride(&self) -> usize {
-        self.size[0] + 2
-    }
-
-    /// All pixels with their border: pixel (u, v) is at `(v + 1) * stride + u + 1`.
-    pub fn bordered_pixels(&self) -> &[Vec4] {
+    /// All pixels, u fastest.
+    pub fn pixels(&self) -> &[Vec4] {
         &self.pixels
     }
 
@@ -79,12 +71,12 @@ impl IntermediateImage {
 
     /// The image in bands of `height` scanlines (the last may be shorter).
     pub fn bands(&mut self, height: usize) -> impl IndexedParallelIterator<Item = Band<'_>> {
-        let (stride, words, rows) = (self.stride(), self.words, self.size[1]);
-        let pixels = self.pixels[stride..stride * (rows + 1)].par_chunks_mut(stride * height);
+        let (width, words) = (self.size[0], self.words);
+        let pixels = self.pixels.par_chunks_mut(width * height);
         let masks = self.non_opaque.par_chunks_mut(words * height);
         pixels.zip(masks).enumerate().map(move |(band, (pixels, non_opaque))| Band {
             first: band * height,
-            stride,
+            width,
             pixels,
             words,
             non_opaque,
@@ -95,14 +87,14 @@ impl IntermediateImage {
 impl Band<'_> {
     /// Number of scanlines.
     pub fn height(&self) -> usize {
-        self.pixels.len() / self.stride
+        self.pixels.len() / self.width
     }
 
     /// Scanline `row` of the band.
     #[inline(always)]
     pub fn scanline(&mut self, row: usize) -> ScanlineMut<'_> {
         ScanlineMut {
-            pixels: &mut self.pixels[row * self.stride + 1..][..self.stride - 2],
+            pixels: &mut self.pixels[row * self.width..][..self.width],
             non_opaque: &mut self.non_opaque[row * self.words..][..self.words],
         }
     }

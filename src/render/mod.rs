@@ -235,8 +235,7 @@ fn shear_warp(
     let (width, height) = view.size();
     let channels = settings.background.channels();
     let mut pixels = vec![0; width as usize * height as usize * channels];
-    let map = factorization.sheared_from_image;
-    warp::warp(&intermediate, map, &settings.background, width as usize, &mut pixels, cancel)?;
+    warp::warp(&intermediate, &factorization, &settings.background, width as usize, &mut pixels, cancel)?;
     let render = start.elapsed();
 
     let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
