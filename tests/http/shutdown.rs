@@ -49,9 +49,7 @@ async fn slow_clients_and_long_frames_end_at_the_hard_deadline() {
     half_a_head.write_all(b"GET /healthz HTTP/1.1\r\nho").unwrap();
     let request = service.request(Method::POST, "/v1/volumes/ball/frame").header("content-type", "application/json");
     let frame = tokio::spawn(request.body(SLOW).send());
-    while service.metric("shearwarp_jobs_running").await < 1.0 {
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    service.load(1, 0).await;
     let (took, _) = service.stop().await;
     assert!(took >= Duration::from_millis(400) && took < Duration::from_secs(10), "{took:?}");
     frame.abort();
