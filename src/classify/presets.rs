@@ -3,7 +3,7 @@
 //! A preset for computed tomography speaks Hounsfield units and is taken as it stands. Magnetic
 //! resonance has no units that mean anything from one scan to the next: such presets are written
 //! over fractions of the volume's range and fitted when they are used. Where a client names none,
-//! [`default_for`] looks at the modality and the histogram ([`automatic`]).
+//! [`default_for`] looks at the modality and the histogram (`automatic.rs`).
 //!
 //! The files of `config/presets` are embedded: what a reader sees there is what the program does.
 

@@ -1,7 +1,7 @@
 //! Files -> volumes: sniff the format, enforce limits before memory is taken, dispatch.
 //!
 //! A volume file is somebody else's bytes: its name says little and its header may lie. So the
-//! format is told by content, every format is parsed to one [`Header`](super::voxels::Header), and
+//! format is told by content, every format is parsed to one `voxels::Header`, and
 //! one place checks that header against the [`Limits`] and against the bytes that are really there
 //! before it takes memory. What arrives as a stream of unknown length (uploads, anything
 //! compressed) is read into memory that grows with what has come, never with what was promised,

@@ -7,9 +7,9 @@
 //!
 //! 1. *Which pixels?* The runs of the two voxel scanlines that the pixels gather from are marked
 //!    as bits; a pixel needs work if a voxel it touches is marked and it is not opaque itself. That
-//!    is a union, a shift and an intersection of machine words ([`spans`]).
+//!    is a union, a shift and an intersection of machine words (`spans.rs`).
 //! 2. *Shade* the voxels those pixels touch into a row buffer, each once: the lower scanline of
-//!    one pixel row is the upper one of the next ([`rows`]).
+//!    one pixel row is the upper one of the next (`rows.rs`).
 //! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
 //!    opaque pixel's bit is cleared.
 //!
