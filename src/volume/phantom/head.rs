@@ -166,14 +166,17 @@ impl Parts {
         let m = mirrored(middle);
         let cavity = if self.brain || self.vault { brain::cavity(middle) } else { FAR };
         let reaches = |asked: bool, part: fn(Vec3) -> f32| asked && part(m) < reach;
+        let face = reaches(self.face, |m| skull::facial_bones(m) - skull::SEAM);
+        // Where the face grows out of the brain case, the latter matters from further away.
+        let vault = skull::THICKEST + if face { skull::SEAM } else { 0.0 };
         Self {
             body: true,
             surface: skin > -reach - skin::DEPTH,
             brain: cavity < reach,
             orbits: reaches(self.orbits, skull::orbits),
-            vault: self.vault && cavity > -reach && cavity < reach + skull::THICKEST,
-            face: reaches(self.face, |m| skull::facial_bones(m) - skull::SEAM),
-            openings: reaches(self.openings, skull::openings),
+            vault: self.vault && cavity > -reach && cavity < reach + vault,
+            face,
+            openings: reaches(self.openings, |m| skull::nose_and_openings(m) - skull::EDGE),
             jaw: reaches(self.jaw, skull::jaw),
             spine: reaches(self.spine, skull::spine),
             airways: reaches(self.airways, skull::airways),
