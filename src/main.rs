@@ -17,13 +17,13 @@ fn main() -> ExitCode {
     let outcome = match Cli::try_parse() {
         Ok(cli) => cli.run(),
         Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => error.exit(),
-        Err(error) => Err(Failure::Usage(cli::first_paragraph(&error.to_string()))),
+        Err(error) => Err(Failure::Usage(cli::complaint(&error.to_string()))),
     };
     let (message, status) = match outcome {
         Ok(()) => return ExitCode::SUCCESS,
         Err(Failure::Usage(message)) => (message, 2),
         Err(Failure::Other(message)) => (message, 1),
     };
-    eprintln!("error: {message}");
+    eprintln!("error: {}", cli::one_line(&message));
     ExitCode::from(status)
 }

@@ -334,9 +334,9 @@ mod tests {
         });
         let mut turned = block;
         transpose(&mut turned);
-        for i in 0..WORD {
-            for j in 0..WORD {
-                assert_eq!(block[i] >> j & 1, turned[j] >> i & 1);
+        for (i, row) in block.iter().enumerate() {
+            for (j, column) in turned.iter().enumerate() {
+                assert_eq!(row >> j & 1, column >> i & 1);
             }
         }
     }

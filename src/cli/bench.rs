@@ -3,14 +3,13 @@
 //! Every frame is rendered from its view on and encoded, nothing is kept from one to the next but
 //! the structures, and a turn that is not counted comes first, so that caches and clocks are warm.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
 use indicatif::ProgressBar;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use shearwarp::encode::{Format, encode};
 use shearwarp::render::Algorithm;
 use shearwarp::render::factorization::Factorization;
@@ -42,7 +41,10 @@ pub struct Arguments {
     request: RequestArguments,
 }
 
-/// The figures of a run. Steps that did not run are not in the maps.
+/// Figures by name, in the order in which things happen. Steps that did not run are not there.
+type Named<T> = Vec<(&'static str, T)>;
+
+/// The figures of a run.
 #[derive(Serialize)]
 struct Report {
     volume: String,
@@ -54,9 +56,16 @@ struct Report {
     image: [u32; 2],
     #[serde(skip_serializing_if = "Option::is_none")]
     nontransparent_share: Option<f64>,
-    frame_ms: BTreeMap<&'static str, Summary>,
-    prepare_ms: BTreeMap<&'static str, f64>,
-    bytes: BTreeMap<&'static str, u64>,
+    #[serde(serialize_with = "as_map")]
+    frame_ms: Named<Summary>,
+    #[serde(serialize_with = "as_map")]
+    prepare_ms: Named<f64>,
+    #[serde(serialize_with = "as_map")]
+    bytes: Named<u64>,
+}
+
+fn as_map<T: Serialize, S: Serializer>(named: &Named<T>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(named.iter().map(|(name, value)| (name, value)))
 }
 
 /// Milliseconds.
@@ -163,16 +172,17 @@ impl Phases {
         Ok(())
     }
 
-    fn summaries(&self, algorithm: Algorithm) -> BTreeMap<&'static str, Summary> {
-        let shear_warp = [("shade", &self.shade), ("warp", &self.warp)];
-        let always = [
+    fn summaries(&self, algorithm: Algorithm) -> Named<Summary> {
+        let phases = [
+            ("shade", &self.shade),
             ("composite", &self.composite),
+            ("warp", &self.warp),
             ("encode", &self.encode),
             ("render", &self.render),
             ("total", &self.total),
         ];
-        let phases = always.into_iter().chain(shear_warp.into_iter().filter(|_| algorithm != Algorithm::Raycast));
-        phases.map(|(phase, durations)| (phase, Summary::of(durations))).collect()
+        let ran = |phase: &str| algorithm != Algorithm::Raycast || !["shade", "warp"].contains(&phase);
+        phases.into_iter().filter(|(phase, _)| ran(phase)).map(|(phase, d)| (phase, Summary::of(d))).collect()
     }
 }
 
@@ -191,7 +201,7 @@ impl Summary {
     }
 }
 
-fn prepare_ms(stage: &Stage, load: Duration) -> BTreeMap<&'static str, f64> {
+fn prepare_ms(stage: &Stage, load: Duration) -> Named<f64> {
     let prepared = stage.prepared.timings();
     let once = [("load", load), ("gradients", prepared.gradients), ("octree", prepared.octree)];
     let classified = stage.classified.as_ref().map(|c| c.timings());
@@ -200,7 +210,7 @@ fn prepare_ms(stage: &Stage, load: Duration) -> BTreeMap<&'static str, f64> {
 }
 
 /// `images` are the intermediate image, where there is one, and the final one.
-fn bytes(stage: &Stage, phases: &Phases) -> BTreeMap<&'static str, u64> {
+fn bytes(stage: &Stage, phases: &Phases) -> Named<u64> {
     let classified = stage.classified.iter().flat_map(|c| c.bytes());
     let intermediate =
         stage.classified.as_ref().map_or(0, |_| IntermediateImage::new(phases.intermediate_size).bytes());

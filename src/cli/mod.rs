@@ -65,11 +65,16 @@ impl Cli {
     }
 }
 
-/// The parser's complaint without its heading, usage and tips, on one line.
-pub fn first_paragraph(message: &str) -> String {
-    let lines = message.lines().take_while(|line| !line.trim().is_empty()).map(str::trim);
-    let line = lines.collect::<Vec<_>>().join(" ");
-    line.strip_prefix("error: ").unwrap_or(&line).to_owned()
+/// The parser's complaint without its heading, usage and tips.
+pub fn complaint(message: &str) -> String {
+    let lines: Vec<_> = message.lines().take_while(|line| !line.trim().is_empty()).collect();
+    let paragraph = lines.join("\n");
+    paragraph.strip_prefix("error: ").unwrap_or(&paragraph).to_owned()
+}
+
+/// A message that others wrote over several lines, on one.
+pub fn one_line(message: &str) -> String {
+    message.lines().map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
 /// Writes to stdout. A reader who has seen enough (`| head`) is no failure.
@@ -94,7 +99,7 @@ mod tests {
     #[test]
     fn a_complaint_of_the_parser_is_one_line() {
         let message = Cli::try_parse_from(["shearwarp", "render"]).unwrap_err().to_string();
-        let line = first_paragraph(&message);
+        let line = one_line(&complaint(&message));
         assert!(line.contains("VOLUME") && !line.contains('\n') && !line.starts_with("error"), "{line}");
     }
 }

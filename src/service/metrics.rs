@@ -4,7 +4,7 @@
 //! up to date but read when somebody asks, from the things themselves: a gauge that is counted up
 //! and down drifts with every path that forgets one half.
 
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
@@ -113,7 +113,10 @@ pub struct Gauges {
 
 /// All metrics as text.
 pub fn render(gauges: Gauges) -> String {
+    /// Gauges are set and read in one go, whoever else asks.
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
     let handle = recorder();
+    let _guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     gauge!("shearwarp_queue_depth").set(gauges.waiting as f64);
     gauge!("shearwarp_jobs_running").set(gauges.running as f64);
     gauge!("shearwarp_classified_cache_bytes").set(gauges.cache_bytes as f64);

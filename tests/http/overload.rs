@@ -1,7 +1,5 @@
 //! More work than the service can do, and clients that do not wait for it.
 
-use std::time::Duration;
-
 use reqwest::Method;
 
 use crate::service::{Running, SLOW, problem};
@@ -16,19 +14,11 @@ fn start_slow_frame(service: &Running) -> tokio::task::JoinHandle<u16> {
     tokio::spawn(async move { request.send().await.map_or(0, |response| response.status().as_u16()) })
 }
 
-async fn running(service: &Running, jobs: f64) {
-    while service.metric("shearwarp_jobs_running").await != jobs {
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_queue_is_refused_with_503_and_a_client_that_leaves_makes_room() {
     let service = Running::start(ONE_AT_A_TIME).await;
     let slow = start_slow_frame(&service);
-    while service.post(FRAME, SMALL).await.status() == 200 {
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
+    service.load(1, 0).await;
     let refused = service.post(FRAME, SMALL).await;
     assert_eq!(refused.headers()["retry-after"], "7");
     assert_eq!(problem(refused).await["status"], 503);
@@ -62,8 +52,8 @@ async fn who_waits_in_the_queue_is_served_when_its_turn_comes() {
 async fn clients_that_leave_the_queue_leave_it_empty() {
     let service = Running::start("[render]\njobs = 1\nqueue = 3").await;
     let waiting: Vec<_> = (0..4).map(|_| start_slow_frame(&service)).collect();
-    service.eventually("/v1/volumes/ball/frame.png?width=8&height=8", |response| response.status() == 503).await;
+    service.load(1, 3).await;
     waiting.iter().for_each(tokio::task::JoinHandle::abort);
-    running(&service, 0.0).await;
+    service.load(0, 0).await;
     assert_eq!(service.post(FRAME, SMALL).await.status(), 200);
 }

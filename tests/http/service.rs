@@ -90,7 +90,22 @@ impl Running {
         panic!("{path} never answered as wanted");
     }
 
-    /// A gauge of this process. (Counters are shared by all tests of this binary.)
+    /// Waits until so many jobs run and so many requests wait.
+    pub async fn load(&self, running: u32, waiting: u32) {
+        let start = Instant::now();
+        let wanted = [f64::from(running), f64::from(waiting)];
+        let mut got = [0.0; 2];
+        while start.elapsed() < PATIENCE {
+            got = [self.metric("shearwarp_jobs_running").await, self.metric("shearwarp_queue_depth").await];
+            if got == wanted {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        panic!("expected {wanted:?} jobs to run and to wait, got {got:?}");
+    }
+
+    /// A gauge. (Counters are the process's: all tests of this binary share them.)
     pub async fn metric(&self, name: &str) -> f64 {
         let text = self.get("/metrics").await.text().await.unwrap();
         let line = text.lines().find(|line| line.strip_prefix(name).is_some_and(|rest| rest.starts_with(' ')));

@@ -1,20 +1,20 @@
 //! The end: answers go out, nobody holds it open.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use reqwest::Method;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
 
 use crate::service::{Running, SLOW};
 
-async fn idle_connection(service: &Running) -> TcpStream {
-    let mut idle = TcpStream::connect(service.address).await.unwrap();
-    idle.write_all(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+/// A client that has its answer and stays.
+fn idle_connection(service: &Running) -> TcpStream {
+    let mut idle = TcpStream::connect(service.address).unwrap();
+    idle.write_all(b"GET /healthz HTTP/1.1\r\nhost: x\r\n\r\n").unwrap();
     let mut answer = [0; 12];
-    idle.read_exact(&mut answer).await.unwrap();
+    idle.read_exact(&mut answer).unwrap();
     assert_eq!(&answer, b"HTTP/1.1 200");
     idle
 }
@@ -22,7 +22,7 @@ async fn idle_connection(service: &Running) -> TcpStream {
 #[tokio::test(flavor = "multi_thread")]
 async fn idle_connections_do_not_hold_the_shutdown_open() {
     let service = Running::start("[http]\nshutdown_seconds = 30").await;
-    let _idle = idle_connection(&service).await;
+    let _idle = tokio::task::block_in_place(|| idle_connection(&service));
     let (took, _) = service.stop().await;
     assert!(took < Duration::from_secs(10), "{took:?}");
 }
@@ -45,13 +45,11 @@ async fn a_running_frame_is_answered_before_the_end() {
 #[tokio::test(flavor = "multi_thread")]
 async fn slow_clients_and_long_frames_end_at_the_hard_deadline() {
     let service = Running::start("[http]\nshutdown_seconds = 0.5").await;
-    let mut half_a_head = TcpStream::connect(service.address).await.unwrap();
-    half_a_head.write_all(b"GET /healthz HTTP/1.1\r\nho").await.unwrap();
+    let mut half_a_head = TcpStream::connect(service.address).unwrap();
+    half_a_head.write_all(b"GET /healthz HTTP/1.1\r\nho").unwrap();
     let request = service.request(Method::POST, "/v1/volumes/ball/frame").header("content-type", "application/json");
     let frame = tokio::spawn(request.body(SLOW).send());
-    while service.metric("shearwarp_jobs_running").await < 1.0 {
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    service.load(1, 0).await;
     let (took, _) = service.stop().await;
     assert!(took >= Duration::from_millis(400) && took < Duration::from_secs(10), "{took:?}");
     frame.abort();
@@ -70,7 +68,7 @@ fn the_program_prints_its_address_and_ends_with_status_0_on_sigterm() {
     BufReader::new(program.stdout.take().unwrap()).read_line(&mut line).unwrap();
     let address = line.trim().strip_prefix("listening on http://").unwrap_or_else(|| panic!("{line:?}")).to_owned();
     // An idle client, while the demo volume is still being made.
-    let _idle = std::net::TcpStream::connect(&address).unwrap();
+    let _idle = TcpStream::connect(&address).unwrap();
     let start = Instant::now();
     assert!(Command::new("kill").args(["-TERM", &program.id().to_string()]).status().unwrap().success());
     let status = program.wait().unwrap();
