@@ -29,7 +29,7 @@ const SPACING: f32 = 1.2;
 /// HU of code 0.
 const INTERCEPT: f32 = -1024.0;
 /// Edges are this wide, mm: the point spread of a soft reconstruction kernel.
-const BLUR: f32 = 2.5;
+const BLUR: f32 = 3.2;
 /// Standard deviation of the scanner's noise, HU.
 const NOISE: f32 = 7.0;
 /// Edges of blocks, voxels. The small ones divide the large ones, the large ones the volume.
@@ -200,7 +200,7 @@ impl<'a> Near<'a> {
         let radius = half * 1.733 + 0.5 * BLUR;
         // Distances are approximate: trust four fifths of them.
         let parts = parts.unwrap_or(&Parts::ALL).within(middle, 1.25 * radius);
-        let close = |vessel: &&&Vessel| parts.body && vessel.distance(middle) < radius;
+        let close = |vessel: &&&Vessel| parts.body && vessel.near(middle, radius);
         Self { parts, vessels: vessels.iter().filter(close).copied().collect() }
     }
 

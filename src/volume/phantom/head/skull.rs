@@ -52,13 +52,15 @@ pub fn bones(p: Vec3, cavity: f32, skin: f32, parts: &Parts, value: f32) -> f32 
 
 /// The brain case with its sutures.
 fn vault(p: Vec3, m: Vec3, cavity: f32) -> f32 {
-    let thickness = mix(4.0, 7.0, coverage(20.0 - p.z, 30.0)) + 0.8 * smooth(p / 18.0, 32);
+    // Uneven, where it can be seen.
+    let bumps = if (-2.0..18.0).contains(&cavity) { 0.8 * smooth(p / 18.0, 32) } else { 0.0 };
+    let thickness = mix(4.0, 7.0, coverage(20.0 - p.z, 30.0)) + bumps;
     let temple = ellipsoid(m, v(72.0, -20.0, 10.0), v(16.0, 36.0, 34.0));
     let outside = cavity - thickness + 2.0 * coverage(temple, 12.0);
     let shell = carve(outside, cavity, 1.0);
     // Sutures are seen from outside only.
     let shell =
-        if p.z > 0.0 && outside.abs() < 6.0 { carve(shell, sutures(p, m).max(-outside - 2.4), 1.0) } else { shell };
+        if p.z > 0.0 && outside.abs() < 4.0 { carve(shell, sutures(p, m).max(-outside - 2.4), 1.0) } else { shell };
     let foramen_magnum = limb(p, (v(0.0, 27.0, -70.0), 14.0), (v(0.0, 30.0, -20.0), 15.0));
     carve(shell, foramen_magnum, 3.0)
 }
