@@ -52,7 +52,7 @@ pub fn scan(folder: Option<&Path>) -> Result<Vec<Entry>, ScanError> {
     let mut found = BTreeMap::<String, PathBuf>::new();
     for path in paths {
         let Some(id) = path.file_name().and_then(|name| name.to_str()).and_then(decode::volume_id) else {
-            if !path.extension().is_some_and(|extension| extension == "json") {
+            if path.extension().is_none_or(|extension| extension != "json") {
                 tracing::info!(file = %path.display(), "skipped: not a known volume format");
             }
             continue;
