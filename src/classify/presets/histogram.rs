@@ -10,6 +10,8 @@ pub struct Histogram {
     /// Value at the middle of the first bin, and from one bin to the next.
     first: f64,
     step: f64,
+    /// Smallest and largest value.
+    range: (f64, f64),
 }
 
 impl Histogram {
@@ -28,7 +30,7 @@ impl Histogram {
         };
         let (slope, _) = volume.rescale();
         let first = volume.value_of_code(f64::from(low) + (codes_per_bin - 1) as f64 / 2.0);
-        Self { counts, first, step: slope * codes_per_bin as f64 }
+        Self { counts, first, step: slope * codes_per_bin as f64, range: volume.value_range() }
     }
 
     fn value(&self, bin: usize) -> f64 {
@@ -40,8 +42,8 @@ impl Histogram {
         self.counts[0] as f64 / self.counts.iter().sum::<u64>() as f64
     }
 
-    /// The smallest value, and the value that a fraction `share` of the voxels above it stay below.
-    pub fn quantile_above_minimum(&self, share: f64) -> f64 {
+    /// The value that a fraction `share` of the voxels above the first bin do not exceed.
+    fn quantile_above_minimum(&self, share: f64) -> f64 {
         let total: u64 = self.counts[1..].iter().sum();
         let wanted = total as f64 * share;
         let mut seen = 0;
@@ -57,8 +59,8 @@ impl Histogram {
     /// The smallest value, and the one that 99.9 % of the voxels above it stay below. A volume of one
     /// value gets a range of length 1, so that fractions of it remain apart.
     pub fn robust_range(&self) -> (f64, f64) {
-        let low = self.value(0);
-        let high = self.quantile_above_minimum(0.999);
+        let low = self.range.0;
+        let high = self.quantile_above_minimum(0.999).min(self.range.1);
         if high > low { (low, high) } else { (low, low + 1.0) }
     }
 
@@ -137,6 +139,7 @@ impl Histogram {
         let (low, high) = self.robust_range();
         let mut coarse = vec![0.0; BINS];
         for (bin, &n) in self.counts.iter().enumerate() {
+            // The cast saturates at 0.
             let at = (self.value(bin) - low) / (high - low) * BINS as f64;
             coarse[(at as usize).min(BINS - 1)] += n as f64;
         }

@@ -29,7 +29,7 @@ const SPACING: f32 = 1.2;
 /// HU of code 0.
 const INTERCEPT: f32 = -1024.0;
 /// Edges are this wide, mm: the point spread of a soft reconstruction kernel.
-const BLUR: f32 = 2.5;
+const BLUR: f32 = 3.2;
 /// Standard deviation of the scanner's noise, HU.
 const NOISE: f32 = 7.0;
 /// Edges of blocks, voxels. The small ones divide the large ones, the large ones the volume.
@@ -166,14 +166,17 @@ impl Parts {
         let m = mirrored(middle);
         let cavity = if self.brain || self.vault { brain::cavity(middle) } else { FAR };
         let reaches = |asked: bool, part: fn(Vec3) -> f32| asked && part(m) < reach;
+        let face = reaches(self.face, |m| skull::facial_bones(m) - skull::SEAM);
+        // Where the face grows out of the brain case, the latter matters from further away.
+        let vault = skull::THICKEST + if face { skull::SEAM } else { 0.0 };
         Self {
             body: true,
             surface: skin > -reach - skin::DEPTH,
             brain: cavity < reach,
             orbits: reaches(self.orbits, skull::orbits),
-            vault: self.vault && cavity > -reach && cavity < reach + skull::THICKEST,
-            face: reaches(self.face, |m| skull::facial_bones(m) - skull::SEAM),
-            openings: reaches(self.openings, skull::openings),
+            vault: self.vault && cavity > -reach && cavity < reach + vault,
+            face,
+            openings: reaches(self.openings, |m| skull::nose_and_openings(m) - skull::EDGE),
             jaw: reaches(self.jaw, skull::jaw),
             spine: reaches(self.spine, skull::spine),
             airways: reaches(self.airways, skull::airways),
@@ -197,7 +200,7 @@ impl<'a> Near<'a> {
         let radius = half * 1.733 + 0.5 * BLUR;
         // Distances are approximate: trust four fifths of them.
         let parts = parts.unwrap_or(&Parts::ALL).within(middle, 1.25 * radius);
-        let close = |vessel: &&&Vessel| parts.body && vessel.distance(middle) < radius;
+        let close = |vessel: &&&Vessel| parts.body && vessel.near(middle, radius);
         Self { parts, vessels: vessels.iter().filter(close).copied().collect() }
     }
 

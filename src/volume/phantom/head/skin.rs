@@ -7,7 +7,7 @@ use super::super::shape::{carve, chain, coverage, ellipsoid, join, limb, meet, m
 use super::{BLUR, hu};
 
 /// Skin and the fat under it are no thicker than this, mm.
-pub const DEPTH: f32 = 11.0;
+pub const DEPTH: f32 = 9.0;
 
 /// Distance to the skin, mm.
 pub fn surface(p: Vec3) -> f32 {

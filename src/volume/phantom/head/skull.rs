@@ -16,6 +16,9 @@ pub const THICKEST: f32 = 9.0;
 /// The face grows out of the brain case with a seam this wide, mm.
 pub const SEAM: f32 = 8.0;
 
+/// Holes in bone are rounded over this width, mm.
+pub const EDGE: f32 = 2.5;
+
 /// Paints bone and all that goes with it over `value`; the brain's cavity is `cavity` mm away, the skin
 /// `skin` mm.
 pub fn bones(p: Vec3, cavity: f32, skin: f32, parts: &Parts, value: f32) -> f32 {
@@ -25,7 +28,7 @@ pub fn bones(p: Vec3, cavity: f32, skin: f32, parts: &Parts, value: f32) -> f32 
         bone = join(bone, facial_bones(m), SEAM).max(-cavity);
     }
     if parts.openings {
-        bone = carve(bone, openings(m), 2.5).min(nose_walls(m));
+        bone = carve(bone, openings(m), EDGE).min(nose_walls(m));
     }
     if parts.jaw {
         bone = bone.min(jaw(m));
@@ -49,13 +52,15 @@ pub fn bones(p: Vec3, cavity: f32, skin: f32, parts: &Parts, value: f32) -> f32 
 
 /// The brain case with its sutures.
 fn vault(p: Vec3, m: Vec3, cavity: f32) -> f32 {
-    let thickness = mix(4.0, 7.0, coverage(20.0 - p.z, 30.0)) + 0.8 * smooth(p / 18.0, 32);
+    // Uneven, where it can be seen.
+    let bumps = if (-2.0..18.0).contains(&cavity) { 0.8 * smooth(p / 18.0, 32) } else { 0.0 };
+    let thickness = mix(4.0, 7.0, coverage(20.0 - p.z, 30.0)) + bumps;
     let temple = ellipsoid(m, v(72.0, -20.0, 10.0), v(16.0, 36.0, 34.0));
     let outside = cavity - thickness + 2.0 * coverage(temple, 12.0);
     let shell = carve(outside, cavity, 1.0);
     // Sutures are seen from outside only.
     let shell =
-        if p.z > 0.0 && outside.abs() < 6.0 { carve(shell, sutures(p, m).max(-outside - 2.4), 1.0) } else { shell };
+        if p.z > 0.0 && outside.abs() < 4.0 { carve(shell, sutures(p, m).max(-outside - 2.4), 1.0) } else { shell };
     let foramen_magnum = limb(p, (v(0.0, 27.0, -70.0), 14.0), (v(0.0, 30.0, -20.0), 15.0));
     carve(shell, foramen_magnum, 3.0)
 }
@@ -113,7 +118,7 @@ fn processes(m: Vec3) -> f32 {
 }
 
 /// Holes in the bone: eye sockets with their nerve's canal, the nose, sinuses, ear canals.
-pub fn openings(m: Vec3) -> f32 {
+fn openings(m: Vec3) -> f32 {
     let socket = ellipsoid(m, v(30.5, -78.0, 1.5), v(17.5, 22.0, 15.5));
     let cone = limb(m, (v(29.0, -68.0, 2.0), 14.0), (v(14.0, -34.0, 4.0), 3.0));
     let fissure = limb(m, (v(24.0, -42.0, 2.0), 2.5), (v(36.0, -44.0, 10.0), 1.5));
@@ -130,6 +135,11 @@ pub fn openings(m: Vec3) -> f32 {
     let cheek_nerve = limb(m, (v(27.0, -86.0, -23.0), 1.6), (v(27.0, -74.0, -21.0), 1.4));
     let face = join(socket, cone, 4.0).min(fissure).min(pear).min(cavity);
     face.min(maxillary).min(frontal).min(sphenoidal).min(canal).min(cheek_nerve)
+}
+
+/// Holes and the thin plates in them.
+pub fn nose_and_openings(m: Vec3) -> f32 {
+    openings(m).min(nose_walls(m))
 }
 
 /// Thin plates inside the nose: the septum, the conchae, the palate above the teeth.
@@ -169,14 +179,17 @@ pub fn spine(m: Vec3) -> f32 {
         .min(ellipsoid(m, v(21.0, 22.0, -48.0), v(8.0, 10.0, 7.0)))
         .min(limb(m, (v(24.0, 24.0, -50.0), 5.0), (v(37.0, 26.0, -50.0), 3.5)));
     let dens = limb(m, (v(0.0, 15.0, -62.0), 6.0), (v(0.0, 13.0, -42.0), 3.5));
-    // One vertebra every 18 mm from the second on.
-    let number = ((-m.z - 57.0) / 18.0).floor().max(0.0);
-    let q = v(m.x, m.y, m.z + 66.0 + 18.0 * number);
+    // One vertebra every 18 mm from the second on; `middle` is the height of the second one.
+    let nearest = |middle: f32| {
+        let number = ((middle + 9.0 - m.z) / 18.0).floor().max(0.0);
+        v(m.x, m.y, m.z - middle + 18.0 * number)
+    };
+    let q = nearest(-66.0);
     let body = slab(q, v(0.0, 16.0, 0.0), v(11.5, 8.5, 7.0), 3.0);
     let arch = ring(v(q.x * 0.8, q.y, q.z * 0.7), v(0.0, 32.0, -1.0), Vec3::Z, 12.5, 2.8);
     let joints = limb(q, (v(18.0, 26.0, 7.0), 4.5), (v(18.0, 29.0, -7.0), 4.5));
     let side = limb(q, (v(10.0, 16.0, 0.0), 3.5), (v(25.0, 18.0, -1.0), 3.0));
-    let thorn = limb(q, (v(0.0, 45.0, -3.0), 4.0), (v(2.5, 60.0, -7.0), 3.2));
+    let thorn = limb(nearest(-71.0), (v(0.0, 45.0, 2.0), 4.0), (v(2.5, 60.0, -2.0), 3.2));
     atlas.min(dens).min(join(body, join(arch, joints, 3.0).min(side), 2.0)).min(thorn)
 }
 
@@ -271,10 +284,12 @@ pub fn airways(m: Vec3) -> f32 {
 /// What lies between skin and bone: muscle, fat between the neck's muscles, the eyes. The skin is
 /// `surface` mm away.
 pub fn deep_soft_tissue(p: Vec3, parts: &Parts, surface: f32) -> f32 {
-    if parts.orbits {
-        return eye(mirrored(p));
-    }
-    if p.z > 0.0 || surface > -4.0 {
+    let flesh = muscles(p, surface);
+    if parts.orbits { eye(mirrored(p), flesh) } else { flesh }
+}
+
+fn muscles(p: Vec3, surface: f32) -> f32 {
+    if p.z > -5.0 || surface > -4.0 {
         return hu::MUSCLE;
     }
     // Sheets of fat between muscles: where slow noise crosses zero.
@@ -288,15 +303,15 @@ pub fn orbits(m: Vec3) -> f32 {
     limb(m, (v(31.0, -74.0, 2.0), 17.0), (v(14.0, -36.0, 4.0), 4.0))
 }
 
-/// The eyeball with its lens, nerve and muscles, in fat.
-fn eye(m: Vec3) -> f32 {
+/// The eyeball with its lens, nerve and muscles, in fat, among `flesh`.
+fn eye(m: Vec3, flesh: f32) -> f32 {
     let strands = [(40.0, -66.0, 2.0), (22.0, -66.0, 2.0), (31.0, -64.0, 11.5), (31.0, -64.0, -7.5)];
     let strand = |(x, y, z): (f32, f32, f32)| limb(m, (v(x, y, z), 1.8), (v(15.0, -40.0, 4.0), 1.4));
     let nerve = limb(m, (v(28.0, -61.0, 2.0), 2.0), (v(14.0, -34.0, 4.0), 2.0));
     let muscles = strands.into_iter().map(strand).fold(nerve, f32::min);
     let ball = sphere(m, skin::EYE, 12.2);
     let lens = ellipsoid(m, skin::EYE - v(0.0, 7.6, 0.0), v(4.6, 2.2, 4.6));
-    let value = mix(hu::MUSCLE, hu::FAT, coverage(orbits(m), BLUR));
+    let value = mix(flesh, hu::FAT, coverage(orbits(m), BLUR));
     let value = mix(value, hu::MUSCLE, coverage(muscles.min(ball), BLUR));
     let value = mix(value, hu::VITREOUS, coverage(ball + 1.4, BLUR));
     mix(value, hu::LENS, coverage(lens, BLUR))

@@ -22,6 +22,13 @@ impl Vessel {
         from.min(to) < reach + thickest && from.max(to) > -reach - thickest
     }
 
+    /// Whether it may come within `reach` mm of `p`: a ball around it does.
+    pub fn near(&self, p: Vec3, reach: f32) -> bool {
+        let half = 0.5 * (self.to.0 - self.from.0);
+        let beyond = reach + half.length() + self.from.1.max(self.to.1);
+        (self.from.0 + half - p).length_squared() < beyond * beyond
+    }
+
     /// mm to its wall.
     pub fn distance(&self, p: Vec3) -> f32 {
         limb(p, self.from, self.to)
