@@ -1,0 +1,52 @@
+//! The stages before a frame, by the papers' words: gradients, octree, summed-area table and run
+//! lengths; and the encoding of the finished picture after it.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use shearwarp::classify::summed_area::SummedAreaTable;
+use shearwarp::classify::{ClassifiedVolume, CodeTables, RunLengthVolume, presets};
+use shearwarp::encode::{Format, encode};
+use shearwarp::render::{
+    Algorithm, Background, Camera, Cancel, Orbit, Scene, Settings, Shading, View, render,
+};
+use shearwarp::volume::gradient::quantized_normals;
+use shearwarp::volume::octree::MinMaxOctree;
+use shearwarp::volume::{PreparedVolume, phantom};
+
+fn stages(criterion: &mut Criterion) {
+    let prepared = PreparedVolume::build(phantom::head());
+    let volume = prepared.volume();
+    let transfer = presets::get("ct-bone").expect("the preset ships").transfer_function(volume);
+    let tables = CodeTables::new(volume, &transfer, 0.002);
+    let summed_area = SummedAreaTable::new(&tables, &transfer, prepared.octree());
+    let occupied = prepared.octree().occupied_leaves(|range| summed_area.is_transparent(range));
+
+    criterion.bench_function("phantom", |b| b.iter(phantom::head));
+    criterion.bench_function("gradients", |b| b.iter(|| quantized_normals(volume)));
+    criterion.bench_function("octree", |b| b.iter(|| MinMaxOctree::build(volume)));
+    criterion.bench_function("summed_area_table", |b| {
+        b.iter(|| SummedAreaTable::new(&tables, &transfer, prepared.octree()));
+    });
+    criterion.bench_function("run_lengths", |b| {
+        b.iter(|| RunLengthVolume::encode(&prepared, &tables, &transfer, &occupied));
+    });
+
+    let classified = ClassifiedVolume::build(&prepared, &transfer, 0.002);
+    let scene = Scene { prepared: &prepared, transfer: &transfer, classified: Some(&classified) };
+    let camera = Camera::Orbit(Orbit { azimuth: 30.0, elevation: 10.0, zoom: 1.3, ..Orbit::default() });
+    let view = View::new(&camera, volume.centre(), volume.radius(), 512, 512).expect("an orbit is sound");
+    let settings = Settings {
+        algorithm: Algorithm::Classified,
+        background: Background::Opaque([0.0; 3]),
+        shading: Some(Shading::default()),
+        early_ray_termination: 0.99,
+        sample_distance: 0.5,
+        skipping: true,
+    };
+    let (image, _) = render(&scene, &view, &settings, &Cancel::default()).expect("the frame renders");
+    for format in [Format::Png, Format::Jpeg, Format::Webp] {
+        criterion.bench_function(&format!("encode/{}", format.name()), |b| b.iter(|| encode(&image, format)));
+    }
+}
+
+criterion_group!(benches, stages);
+criterion_main!(benches);
