@@ -5,9 +5,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use shearwarp::classify::summed_area::SummedAreaTable;
 use shearwarp::classify::{ClassifiedVolume, CodeTables, RunLengthVolume, presets};
 use shearwarp::encode::{Format, encode};
-use shearwarp::render::{
-    Algorithm, Background, Camera, Cancel, Orbit, Scene, Settings, Shading, View, render,
-};
+use shearwarp::render::{Algorithm, Background, Camera, Cancel, Orbit, Scene, Settings, Shading, View, render};
 use shearwarp::volume::gradient::quantized_normals;
 use shearwarp::volume::octree::MinMaxOctree;
 use shearwarp::volume::{PreparedVolume, phantom};

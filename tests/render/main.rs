@@ -2,6 +2,7 @@
 
 mod closed_form;
 mod equivalence;
+mod golden;
 mod invariance;
 mod layering;
 mod scenes;
