@@ -3,7 +3,7 @@
 //! A preset for computed tomography speaks Hounsfield units and is taken as it stands. Magnetic
 //! resonance has no units that mean anything from one scan to the next: such presets are written
 //! over fractions of the volume's range and fitted when they are used. Where a client names none,
-//! [`default_for`] looks at the modality and the histogram ([`automatic`]).
+//! [`default_for`] looks at the modality and the histogram (`automatic.rs`).
 //!
 //! The files of `config/presets` are embedded: what a reader sees there is what the program does.
 
@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn presets_over_a_range_are_fitted_to_the_volumes_values() {
-        let volume = phantom::ball(24, 8.0, 5000, 2.0);
+        let volume = phantom::ball(24, 8.0, 5000.0, 2.0);
         let ramp = get("gray-ramp").unwrap().transfer_function(&volume);
         assert_eq!(ramp.points.first().unwrap().value, 0.0);
         assert_eq!(ramp.points.last().unwrap().value, 5000.0);
