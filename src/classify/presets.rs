@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn presets_over_a_range_are_fitted_to_the_volumes_values() {
-        let volume = phantom::ball(24, 8.0, 5000, 2.0);
+        let volume = phantom::ball(24, 8.0, 5000.0, 2.0);
         let ramp = get("gray-ramp").unwrap().transfer_function(&volume);
         assert_eq!(ramp.points.first().unwrap().value, 0.0);
         assert_eq!(ramp.points.last().unwrap().value, 5000.0);

@@ -122,7 +122,7 @@ mod tests {
 
     /// A ball of `ball` in `background`, the same volume that a scanner with this intercept would give.
     fn scan(background: f64, ball: f64, intercept: f64) -> Volume {
-        let share = phantom::ball(32, 12.0, 1000, 2.0);
+        let share = phantom::ball(32, 12.0, 1000.0, 2.0);
         let Scalars::U16(shares) = share.scalars() else { panic!("phantoms have 16-bit codes") };
         let value = |&s: &u16| background + (ball - background) * f64::from(s) / 1000.0;
         let codes = shares.iter().map(|s| (value(s) - intercept).round() as u16).collect();
@@ -163,13 +163,13 @@ mod tests {
 
     #[test]
     fn sparse_volumes_and_angiographies_get_the_angiography_preset() {
-        assert_eq!(default_for(&phantom::ball(64, 8.0, 200, 1.0), None).name, "mr-angio");
+        assert_eq!(default_for(&phantom::ball(64, 8.0, 200.0, 1.0), None).name, "mr-angio");
         assert_eq!(default_for(&scan(0.0, 200.0, 0.0), Some("rotational C-arm X-ray angiography")).name, "mr-angio");
     }
 
     #[test]
     fn a_volume_of_one_value_still_gets_a_sound_transfer_function() {
-        let choice = default_for(&phantom::uniform([4; 3], 9), Some("CT"));
+        let choice = default_for(&phantom::uniform([4; 3], 9.0), Some("CT"));
         assert_eq!(choice.transfer.validate(), []);
     }
 

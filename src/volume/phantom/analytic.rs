@@ -26,30 +26,24 @@ pub fn from_fn(dims: [usize; 3], spacing: [f64; 3], value: impl Fn(usize, usize,
 }
 
 /// The same `value` everywhere, spacing 1 mm.
-pub fn uniform(dims: [usize; 3], value: u16) -> Volume {
-    from_fn(dims, [1.0; 3], |_, _, _| f64::from(value))
+pub fn uniform(dims: [usize; 3], value: f64) -> Volume {
+    from_fn(dims, [1.0; 3], |_, _, _| value)
 }
 
 /// A cube of `value` in `n`^3 voxels of 1 mm, surrounded by `margin` voxels of zero on every side.
-pub fn cube(n: usize, margin: usize, value: u16) -> Volume {
+pub fn cube(n: usize, margin: usize, value: f64) -> Volume {
     let inside = margin..n.saturating_sub(margin);
-    from_fn(
-        [n; 3],
-        [1.0; 3],
-        |i, j, k| {
-            if [i, j, k].iter().all(|c| inside.contains(c)) { f64::from(value) } else { 0.0 }
-        },
-    )
+    from_fn([n; 3], [1.0; 3], |i, j, k| if [i, j, k].iter().all(|c| inside.contains(c)) { value } else { 0.0 })
 }
 
 /// A ball of `value` around the middle of `n`^3 voxels of 1 mm. Across its surface at `radius` (mm)
 /// the value falls to zero linearly over a shell `soft` mm thick (partial volume); 0 makes it hard.
-pub fn ball(n: usize, radius: f64, value: u16, soft: f64) -> Volume {
+pub fn ball(n: usize, radius: f64, value: f64, soft: f64) -> Volume {
     let middle = DVec3::splat((n as f64 - 1.0) / 2.0);
     from_fn([n; 3], [1.0; 3], |i, j, k| {
         let depth = radius - (DVec3::new(i as f64, j as f64, k as f64) - middle).length();
         let share = if soft > 0.0 { (0.5 + depth / soft).clamp(0.0, 1.0) } else { f64::from(u8::from(depth >= 0.0)) };
-        share * f64::from(value)
+        share * value
     })
 }
 
@@ -82,7 +76,7 @@ mod tests {
 
     #[test]
     fn a_cube_has_its_volume_and_an_empty_margin() {
-        let cube = cube(10, 2, 7);
+        let cube = cube(10, 2, 7.0);
         let Scalars::U16(codes) = cube.scalars() else { panic!("phantoms have 16-bit codes") };
         assert_eq!(codes.iter().filter(|&&c| c == 7).count(), 6 * 6 * 6);
         assert_eq!(code(&cube, [1, 5, 5]), 0);
@@ -91,7 +85,7 @@ mod tests {
 
     #[test]
     fn a_soft_ball_has_the_volume_of_a_ball() {
-        let ball = ball(41, 15.0, 1000, 2.0);
+        let ball = ball(41, 15.0, 1000.0, 2.0);
         let Scalars::U16(codes) = ball.scalars() else { panic!("phantoms have 16-bit codes") };
         let sum: f64 = codes.iter().map(|&c| f64::from(c) / 1000.0).sum();
         let expected = 4.0 / 3.0 * std::f64::consts::PI * 15_f64.powi(3);

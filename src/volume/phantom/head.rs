@@ -159,19 +159,20 @@ impl Parts {
 
     /// Those of `self` that reach within `reach` mm of `middle`.
     fn within(self, middle: Vec3, reach: f32) -> Self {
-        let skin = if self.surface { skin::surface(middle) } else { -FAR };
+        let scalp = skin::scalp(middle);
+        let skin = if self.surface { skin::surface_over(middle, scalp) } else { -FAR };
         if !self.body || skin > reach {
             return Self { body: false, ..self };
         }
         let m = mirrored(middle);
-        let cavity = if self.brain || self.vault { brain::cavity(middle) } else { FAR };
+        let cavity = if self.brain || self.vault { brain::cavity_under(middle, scalp) } else { FAR };
         let reaches = |asked: bool, part: fn(Vec3) -> f32| asked && part(m) < reach;
         let face = reaches(self.face, |m| skull::facial_bones(m) - skull::SEAM);
         // Where the face grows out of the brain case, the latter matters from further away.
         let vault = skull::THICKEST + if face { skull::SEAM } else { 0.0 };
         Self {
             body: true,
-            surface: skin > -reach - skin::DEPTH,
+            surface: skin > -reach - skin::depth(middle),
             brain: cavity < reach,
             orbits: reaches(self.orbits, skull::orbits),
             vault: self.vault && cavity > -reach && cavity < reach + vault,
@@ -210,17 +211,18 @@ impl<'a> Near<'a> {
         if !parts.body {
             return hu::AIR;
         }
-        let skin = if parts.surface { skin::surface(p) } else { -FAR };
+        let scalp = if parts.surface || parts.brain || parts.vault { skin::scalp(p) } else { FAR };
+        let skin = if parts.surface { skin::surface_over(p, scalp) } else { -FAR };
         if skin > 0.5 * BLUR {
             return hu::AIR;
         }
-        let cavity = if parts.brain || parts.vault { brain::cavity(p) } else { FAR };
+        let cavity = if parts.brain || parts.vault { brain::cavity_under(p, scalp) } else { FAR };
         let mut value = if cavity < -0.5 * BLUR {
             brain::value(p, cavity)
         } else {
             let mut value = skull::deep_soft_tissue(p, parts, skin);
             if parts.surface {
-                value = skin::layers(p, skin, value);
+                value = skin::layers(p, skin, scalp, value);
             }
             value = skull::bones(p, cavity, skin, parts, value);
             let share = coverage(cavity, BLUR);

@@ -11,13 +11,18 @@ const COVER: f32 = 13.0;
 
 /// Distance to the inside of the skull, mm: the scalp's form, further in, on a base of three steps.
 pub fn cavity(p: Vec3) -> f32 {
+    cavity_under(p, skin::scalp(p))
+}
+
+/// The same where the distance to the [`skin::scalp`] is known.
+pub fn cavity_under(p: Vec3, scalp: f32) -> f32 {
     let m = mirrored(p);
     // The floor falls from the roofs of the eye sockets to the back.
     let front = 14.0 - 0.2 * (p.y + 30.0) - p.z;
     let temples = ellipsoid(m, v(36.0, -14.0, 4.0), v(25.0, 29.0, 22.0));
     let back = ellipsoid(p, v(0.0, 52.0, -4.0), v(52.0, 44.0, 33.0));
     let base = join(front, join(temples, back, 8.0), 12.0);
-    meet(skin::scalp(p) + COVER, base, 8.0)
+    meet(scalp + COVER, base, 8.0)
 }
 
 /// Hounsfield units inside the cavity, whose wall is `cavity` mm away.

@@ -6,13 +6,28 @@ use super::super::random::mix;
 use super::super::shape::{carve, chain, coverage, ellipsoid, join, limb, meet, mirrored, ring, sphere, v};
 use super::{BLUR, hu};
 
-/// Skin and the fat under it are no thicker than this, mm.
-pub const DEPTH: f32 = 9.0;
+/// Thickness of the skin, mm.
+const SKIN: f32 = 2.2;
+
+/// Thickness of the fat under the skin, mm: thin over the skull, thicker below.
+fn fat(p: Vec3) -> f32 {
+    mix(2.2, 5.0, coverage(p.z - 10.0, 60.0))
+}
+
+/// How deep skin and fat reach within some mm of `p`, their blurred edge included, mm.
+pub fn depth(p: Vec3) -> f32 {
+    SKIN + fat(p) + 0.5 + 0.5 * BLUR
+}
 
 /// Distance to the skin, mm.
 pub fn surface(p: Vec3) -> f32 {
+    surface_over(p, scalp(p))
+}
+
+/// The same where the distance to the [`scalp`] is known.
+pub fn surface_over(p: Vec3, scalp: f32) -> f32 {
     let m = mirrored(p);
-    let mut d = join(scalp(p), neck(p), 24.0);
+    let mut d = join(scalp, neck(p), 24.0);
     if p.y < 55.0 && p.z < 50.0 {
         d = join(d, jaws(m), 22.0);
         if p.y < -30.0 && p.z < 45.0 {
@@ -121,15 +136,11 @@ fn ear(m: Vec3, head: f32) -> f32 {
     join(carve(d, concha, 3.0), tragus, 3.0)
 }
 
-/// Covers the flesh, `value`, with fat and skin; the skin's surface is `surface` mm away.
-pub fn layers(p: Vec3, surface: f32, value: f32) -> f32 {
-    let m = mirrored(p);
-    // Thin over the skull, thicker below; cartilage in place of fat in the ears.
-    let fat = mix(2.2, 5.0, coverage(p.z - 10.0, 60.0));
-    let in_ear = m.x > 76.0 && (-5.0..50.0).contains(&p.y) && scalp(p) > 1.0;
-    let value = if in_ear { hu::CARTILAGE } else { mix(hu::FAT, value, coverage(surface + SKIN + fat, BLUR)) };
+/// Covers the flesh, `value`, with fat and skin, given the distances to the skin's `surface` and to the
+/// [`scalp`].
+pub fn layers(p: Vec3, surface: f32, scalp: f32, value: f32) -> f32 {
+    // Cartilage in place of fat in the ears.
+    let in_ear = p.x.abs() > 76.0 && (-5.0..50.0).contains(&p.y) && scalp > 1.0;
+    let value = if in_ear { hu::CARTILAGE } else { mix(hu::FAT, value, coverage(surface + SKIN + fat(p), BLUR)) };
     mix(hu::SKIN, value, coverage(surface + SKIN, BLUR))
 }
-
-/// Thickness of the skin, mm.
-const SKIN: f32 = 2.2;

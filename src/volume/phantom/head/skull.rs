@@ -14,7 +14,7 @@ const CORTEX: f32 = 1.9;
 /// The brain case is no thicker than this, mm.
 pub const THICKEST: f32 = 9.0;
 /// The face grows out of the brain case with a seam this wide, mm.
-pub const SEAM: f32 = 8.0;
+pub const SEAM: f32 = 6.0;
 
 /// Holes in bone are rounded over this width, mm.
 pub const EDGE: f32 = 2.5;
@@ -41,10 +41,13 @@ pub fn bones(p: Vec3, cavity: f32, skin: f32, parts: &Parts, value: f32) -> f32 
     let mut value = value;
     if bone < 0.5 * BLUR {
         let marrow = coverage(bone + CORTEX + 0.6, 4.0);
-        let grain = 1.0 + 0.25 * smooth(p / 3.0, 31);
-        value = mix(value, mix(hu::CORTICAL, hu::TRABECULAR * grain, marrow), coverage(bone, BLUR));
-        let petrous = limb(m, (v(56.0, 14.0, -12.0), 8.0), (v(20.0, -6.0, -12.0), 5.0));
-        value = mix(value, hu::PETROUS, coverage(petrous, BLUR) * coverage(bone, BLUR));
+        let spongy = if marrow > 0.0 { hu::TRABECULAR * (1.0 + 0.25 * smooth(p / 3.0, 31)) } else { hu::CORTICAL };
+        let mut inside = mix(hu::CORTICAL, spongy, marrow);
+        if p.z < 0.0 {
+            let petrous = limb(m, (v(56.0, 14.0, -12.0), 8.0), (v(20.0, -6.0, -12.0), 5.0));
+            inside = mix(inside, hu::PETROUS, coverage(petrous, BLUR));
+        }
+        value = mix(value, inside, coverage(bone, BLUR));
     }
     value = teeth(m, value);
     if parts.airways { mix(value, hu::AIR, coverage(airways(m), BLUR)) } else { value }
@@ -53,7 +56,7 @@ pub fn bones(p: Vec3, cavity: f32, skin: f32, parts: &Parts, value: f32) -> f32 
 /// The brain case with its sutures.
 fn vault(p: Vec3, m: Vec3, cavity: f32) -> f32 {
     // Uneven, where it can be seen.
-    let bumps = if (-2.0..18.0).contains(&cavity) { 0.8 * smooth(p / 18.0, 32) } else { 0.0 };
+    let bumps = if (-2.0..16.0).contains(&cavity) { 0.8 * smooth(p / 18.0, 32) } else { 0.0 };
     let thickness = mix(4.0, 7.0, coverage(20.0 - p.z, 30.0)) + bumps;
     let temple = ellipsoid(m, v(72.0, -20.0, 10.0), v(16.0, 36.0, 34.0));
     let outside = cavity - thickness + 2.0 * coverage(temple, 12.0);
