@@ -209,7 +209,7 @@ mod tests {
     /// space and the warp.
     #[test]
     fn shear_and_warp_together_are_the_view() {
-        let volume = phantom::uniform([30, 40, 50], 1);
+        let volume = phantom::uniform([30, 40, 50], 1.0);
         for step in 0..60 {
             let orbit = Orbit {
                 azimuth: f64::from(step) * 37.0,

@@ -310,7 +310,7 @@ mod tests {
     }
 
     fn ball(radius: f64) -> Arc<LoadedVolume> {
-        Arc::new(LoadedVolume::build(phantom::ball(24, radius, 200, 1.0), None))
+        Arc::new(LoadedVolume::build(phantom::ball(24, radius, 200.0, 1.0), None))
     }
 
     fn store(bytes: u64) -> Arc<Store> {
@@ -367,7 +367,7 @@ mod tests {
     fn a_volume_is_named_by_its_content() {
         assert_eq!(ball(8.0).fingerprint, ball(8.0).fingerprint);
         assert_ne!(ball(8.0).fingerprint, ball(7.0).fingerprint);
-        let softer = LoadedVolume::build(phantom::ball(24, 8.0, 200, 2.0), None);
+        let softer = LoadedVolume::build(phantom::ball(24, 8.0, 200.0, 2.0), None);
         assert_ne!(ball(8.0).fingerprint, softer.fingerprint);
         assert_ne!(classification(0.5).key(&ball(8.0)), classification(0.6).key(&ball(8.0)));
     }

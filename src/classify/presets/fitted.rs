@@ -36,7 +36,7 @@ mod tests {
 
     #[test]
     fn fitted_beforehand_is_fitted_when_asked() {
-        let volume = phantom::ball(24, 8.0, 5000, 2.0);
+        let volume = phantom::ball(24, 8.0, 5000.0, 2.0);
         let fitted = FittedPresets::of(&volume, Some("MR"));
         assert_eq!(fitted.default, default_for(&volume, Some("MR")));
         for preset in all() {
