@@ -23,13 +23,13 @@ use crate::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 use vessels::Vessel;
 
 /// Voxels along x, y, z.
-const DIMS: [usize; 3] = [176, 208, 208];
-/// mm; 211 x 250 x 250 mm in all, a usual field of view.
-const SPACING: f32 = 1.2;
+const DIMS: [usize; 3] = [160, 192, 192];
+/// mm; 208 x 250 x 250 mm in all, a usual field of view.
+const SPACING: f32 = 1.3;
 /// HU of code 0.
 const INTERCEPT: f32 = -1024.0;
 /// Edges are this wide, mm: the point spread of a soft reconstruction kernel.
-const BLUR: f32 = 3.2;
+const BLUR: f32 = 3.4;
 /// Standard deviation of the scanner's noise, HU.
 const NOISE: f32 = 7.0;
 /// Edges of blocks, voxels. The small ones divide the large ones, the large ones the volume.
@@ -59,7 +59,7 @@ mod hu {
     pub const VEIN: f32 = 230.0;
 }
 
-/// A CT scan of a head in Hounsfield units, made up: 176 x 208 x 208 voxels of 1.2 mm, centred on the
+/// A CT scan of a head in Hounsfield units, made up: 160 x 192 x 192 voxels of 1.3 mm, centred on the
 /// origin, facing -y. The same bits on every machine and with any number of threads.
 pub fn head() -> Volume {
     let [nx, ny, _] = DIMS;

@@ -50,11 +50,7 @@ pub fn scalp(p: Vec3) -> f32 {
 fn neck(p: Vec3) -> f32 {
     // Broader than deep, leaning forward on its way up.
     let squeezed = v(p.x * 0.94, p.y, p.z);
-    limb(squeezed, (v(0.0, 26.0, -150.0), 60.0), (v(0.0, 22.0, -70.0), 53.0)).max(-60.0).min(limb(
-        squeezed,
-        (v(0.0, 22.0, -70.0), 53.0),
-        (v(0.0, 20.0, -20.0), 52.0),
-    ))
+    chain(squeezed, &[(v(0.0, 26.0, -150.0), 60.0), (v(0.0, 22.0, -70.0), 53.0), (v(0.0, 20.0, -20.0), 52.0)])
 }
 
 /// Cheeks, jaw and chin.
