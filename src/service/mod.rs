@@ -22,7 +22,7 @@ mod server;
 mod store;
 mod volumes;
 
-use std::io;
+use std::io::{self, IsTerminal};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -140,7 +140,9 @@ fn announce(address: SocketAddr) {
 
 fn start_log(config: &config::Log) -> Result<(), ServeError> {
     let filter = EnvFilter::try_new(&config.filter)?;
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr);
+    // Colours for a terminal only: a collector would keep their codes.
+    let ansi = io::stderr().is_terminal();
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).with_ansi(ansi);
     // A second service in one process (in tests) logs where the first does.
     let _ = match config.format {
         LogFormat::Text => builder.try_init(),
