@@ -30,7 +30,7 @@ const RAW_HEADERS: [HeaderName; 3] = [
 ];
 
 /// What a request without a body asks for: the defaults.
-pub const EMPTY_REQUEST: &[u8] = b"{}";
+const EMPTY_REQUEST: &[u8] = b"{}";
 
 /// Clients may keep a frame, but ask whether it is still the one: with the ETag that costs them
 /// 304 and no rendering, and a scan replaced under the same name never shows as the old one.

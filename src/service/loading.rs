@@ -14,7 +14,6 @@ use serde::Deserialize;
 use tokio::task::JoinSet;
 
 use super::App;
-use super::frames::EMPTY_REQUEST;
 use super::request::RenderRequest;
 use super::store::{Classification, Entry, LoadedVolume, Source};
 use crate::volume::{Volume, decode, phantom};
@@ -151,7 +150,8 @@ fn read(source: &Source, limits: &decode::Limits) -> Result<Volume, String> {
 
 /// Builds what the empty request needs, so that the first frame is as fast as the second.
 async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
-    let resolved = RenderRequest::from_json(EMPTY_REQUEST)
+    // The encodings do not depend on the image's size; one pixel is within any operator's limits.
+    let resolved = RenderRequest::from_json(br#"{"image": {"width": 1, "height": 1}}"#)
         .and_then(|request| request.resolve(volume.volume(), &volume.presets, &app.config.image.limits()))
         .map_err(|error| error.to_string())?;
     let ticket = app.pool.own_work();
