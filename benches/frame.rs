@@ -1,31 +1,24 @@
 //! Whole frames: from the view to the pixels in memory, on one thread and on all.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use shearwarp::classify::{ClassifiedVolume, presets};
-use shearwarp::render::{
-    Algorithm, Background, Camera, Cancel, Orbit, Projection, Scene, Settings, Shading, View, render,
-};
+use shearwarp::classify::{Classification, Encodings, Purpose, presets};
+use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Projection, Quality, Scene, Settings, View, render};
 use shearwarp::volume::{PreparedVolume, phantom};
 
 const SIDE: u32 = 512;
-
-fn settings(algorithm: Algorithm) -> Settings {
-    Settings {
-        algorithm,
-        background: Background::Opaque([0.0; 3]),
-        shading: Some(Shading::default()),
-        early_ray_termination: 0.99,
-        sample_distance: 0.5,
-        skipping: true,
-    }
-}
 
 fn frames(criterion: &mut Criterion) {
     let prepared = PreparedVolume::build(phantom::head());
     let volume = prepared.volume();
     let transfer = presets::get("ct-bone").expect("the preset ships").transfer_function(volume);
-    let classified = ClassifiedVolume::build(&prepared, &transfer, 0.002);
-    let scene = Scene { prepared: &prepared, transfer: &transfer, classified: Some(&classified) };
+    let classification = Classification::build(&prepared, &transfer, Purpose::Voxels { min_opacity: 0.002 });
+    let encodings = Encodings::build(&prepared, &transfer, &classification);
+    let scene = Scene {
+        prepared: &prepared,
+        transfer: &transfer,
+        classification: Some(&classification),
+        encodings: Some(&encodings),
+    };
     let view = |projection, azimuth, elevation| {
         let orbit = Orbit { projection, azimuth, elevation, zoom: 1.3, ..Orbit::default() };
         View::new(&Camera::Orbit(orbit), volume.centre(), volume.radius(), SIDE, SIDE).expect("an orbit is sound")
@@ -34,7 +27,10 @@ fn frames(criterion: &mut Criterion) {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
         let mut group = criterion.benchmark_group(format!("frame/{threads} threads"));
         for (name, azimuth, elevation) in [("x", 80.0, 10.0), ("y", 10.0, 15.0), ("z", 20.0, 80.0)] {
-            let (view, settings) = (view(Projection::Parallel, azimuth, elevation), settings(Algorithm::Classified));
+            let (view, settings) = (
+                view(Projection::Parallel, azimuth, elevation),
+                Settings::new(Algorithm::Classified, Quality::Standard),
+            );
             group.bench_function(format!("classified along {name}"), |bencher| {
                 pool.install(|| bencher.iter(|| render(&scene, &view, &settings, &Cancel::default())));
             });
@@ -43,7 +39,8 @@ fn frames(criterion: &mut Criterion) {
     }
     let mut group = criterion.benchmark_group("frame/reference");
     group.sample_size(10);
-    let (view, settings) = (view(Projection::Perspective, 30.0, 15.0), settings(Algorithm::Raycast));
+    let (view, settings) =
+        (view(Projection::Perspective, 30.0, 15.0), Settings::new(Algorithm::Raycast, Quality::Standard));
     group.bench_function("raycast", |bencher| {
         bencher.iter(|| render(&scene, &view, &settings, &Cancel::default()));
     });

@@ -3,9 +3,9 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use shearwarp::classify::summed_area::SummedAreaTable;
-use shearwarp::classify::{ClassifiedVolume, CodeTables, RunLengthVolume, presets};
+use shearwarp::classify::{Classification, CodeTables, Encodings, Purpose, RunLengthVolume, presets};
 use shearwarp::encode::{Format, encode};
-use shearwarp::render::{Algorithm, Background, Camera, Cancel, Orbit, Scene, Settings, Shading, View, render};
+use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Quality, Scene, Settings, View, render};
 use shearwarp::volume::gradient::quantized_normals;
 use shearwarp::volume::octree::MinMaxOctree;
 use shearwarp::volume::{PreparedVolume, phantom};
@@ -28,18 +28,17 @@ fn stages(criterion: &mut Criterion) {
         b.iter(|| RunLengthVolume::encode(&prepared, &tables, &transfer, &occupied));
     });
 
-    let classified = ClassifiedVolume::build(&prepared, &transfer, 0.002);
-    let scene = Scene { prepared: &prepared, transfer: &transfer, classified: Some(&classified) };
+    let classification = Classification::build(&prepared, &transfer, Purpose::Voxels { min_opacity: 0.002 });
+    let encodings = Encodings::build(&prepared, &transfer, &classification);
+    let scene = Scene {
+        prepared: &prepared,
+        transfer: &transfer,
+        classification: Some(&classification),
+        encodings: Some(&encodings),
+    };
     let camera = Camera::Orbit(Orbit { azimuth: 30.0, elevation: 10.0, zoom: 1.3, ..Orbit::default() });
     let view = View::new(&camera, volume.centre(), volume.radius(), 512, 512).expect("an orbit is sound");
-    let settings = Settings {
-        algorithm: Algorithm::Classified,
-        background: Background::Opaque([0.0; 3]),
-        shading: Some(Shading::default()),
-        early_ray_termination: 0.99,
-        sample_distance: 0.5,
-        skipping: true,
-    };
+    let settings = Settings::new(Algorithm::Classified, Quality::Standard);
     let (image, _) = render(&scene, &view, &settings, &Cancel::default()).expect("the frame renders");
     for format in [Format::Png, Format::Jpeg, Format::Webp] {
         criterion.bench_function(&format!("encode/{}", format.name()), |b| b.iter(|| encode(&image, format)));

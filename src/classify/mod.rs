@@ -1,7 +1,13 @@
 //! [`Volume`](crate::volume::Volume) + [`TransferFunction`] -> what a frame walks.
 //!
-//! Nothing here depends on the view, so it is done once for many frames and kept.
+//! Nothing here depends on the view, so it is done once for many frames and kept. It comes in two
+//! parts. A [`Classification`] holds the tables and what octree and summed-area table say about
+//! every leaf: made in milliseconds, and enough for a frame (Lacroute and Levoy 1994, section 3.3).
+//! [`Encodings`] hold runs (section 3.1): they take longer and make frames faster, and change no bit
+//! of them, so a frame is never kept waiting for them.
 
+pub mod cells;
+pub mod preintegration;
 pub mod presets;
 pub mod rle;
 mod serial;
@@ -13,39 +19,59 @@ use std::io::{self, Read, Write};
 use std::time::{Duration, Instant};
 
 use crate::volume::PreparedVolume;
+pub use cells::CellRuns;
+use preintegration::SlabTables;
 pub use rle::RunLengthVolume;
 use summed_area::SummedAreaTable;
 pub use tables::CodeTables;
 pub use transfer::{Color, ControlPoint, GradientPoint, InvalidField, TransferFunction};
 
-/// How long a classification took.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ClassifyTimings {
-    pub summed_area_table: Duration,
-    pub run_lengths: Duration,
-}
-
-/// A volume under a transfer function: tables and run-length encodings for all three principal
-/// axes. Independent of the view.
-#[derive(Clone, Debug)]
-pub struct ClassifiedVolume {
-    tables: CodeTables,
-    run_lengths: RunLengthVolume,
-    timings: ClassifyTimings,
-}
-
-impl ClassifiedVolume {
-    /// Classifies on the current rayon pool. Voxels whose opacity is at or below `min_opacity`
+/// What is classified.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Purpose {
+    /// Single voxels. Those whose opacity for the reference length is at or below `min_opacity`
     /// count as transparent.
-    pub fn build(prepared: &PreparedVolume, transfer: &TransferFunction, min_opacity: f64) -> Self {
+    Voxels { min_opacity: f64 },
+    /// Slabs between slices, looked up in a table of so many entries along an axis. Only what is
+    /// exactly zero counts as transparent.
+    Slabs { entries: usize },
+}
+
+/// A volume under a transfer function: tables, and which leaves of the octree may show something.
+/// Independent of the view.
+#[derive(Debug)]
+pub struct Classification {
+    purpose: Purpose,
+    tables: CodeTables,
+    slabs: Option<SlabTables>,
+    occupied: Vec<bool>,
+    summed_area_table: Duration,
+}
+
+impl Classification {
+    /// Classifies on the current rayon pool.
+    pub fn build(prepared: &PreparedVolume, transfer: &TransferFunction, purpose: Purpose) -> Self {
         let start = Instant::now();
+        let min_opacity = match purpose {
+            Purpose::Voxels { min_opacity } => min_opacity,
+            Purpose::Slabs { .. } => 0.0,
+        };
         let tables = CodeTables::new(prepared.volume(), transfer, min_opacity);
-        let summed_area = SummedAreaTable::new(&tables, transfer, prepared.octree());
-        let summed_area_table = start.elapsed();
+        let slabs = match purpose {
+            Purpose::Voxels { .. } => None,
+            Purpose::Slabs { entries } => Some(SlabTables::new(prepared.volume(), transfer, entries)),
+        };
+        let summed_area = match &slabs {
+            None => SummedAreaTable::new(&tables, transfer, prepared.octree()),
+            Some(slabs) => SummedAreaTable::of_slabs(slabs.visible_codes(), transfer, prepared.octree()),
+        };
         let occupied = prepared.octree().occupied_leaves(|range| summed_area.is_transparent(range));
-        let run_lengths = RunLengthVolume::encode(prepared, &tables, transfer, &occupied);
-        let timings = ClassifyTimings { summed_area_table, run_lengths: start.elapsed() - summed_area_table };
-        Self { tables, run_lengths, timings }
+        Self { purpose, tables, slabs, occupied, summed_area_table: start.elapsed() }
+    }
+
+    /// What it is for.
+    pub fn purpose(&self) -> Purpose {
+        self.purpose
     }
 
     /// Extinction and colour per code.
@@ -53,25 +79,79 @@ impl ClassifiedVolume {
         &self.tables
     }
 
-    /// The encodings.
-    pub fn run_lengths(&self) -> &RunLengthVolume {
-        &self.run_lengths
+    /// Pre-integration tables; `None` where single voxels are classified.
+    pub fn slabs(&self) -> Option<&SlabTables> {
+        self.slabs.as_ref()
     }
 
-    /// How long it took.
-    pub fn timings(&self) -> ClassifyTimings {
-        self.timings
+    /// A flag for each leaf of the volume's octree, `i` fastest: false only where nothing in the
+    /// leaf, values interpolated in it included, shows.
+    pub fn occupied(&self) -> &[bool] {
+        &self.occupied
     }
 
-    /// Bytes in memory, by structure: `run_lengths`, `tables`.
-    pub fn bytes(&self) -> [(&'static str, u64); 2] {
-        [("run_lengths", self.run_lengths.bytes()), ("tables", self.tables.bytes())]
+    /// How long the tables and flags took.
+    pub fn summed_area_table(&self) -> Duration {
+        self.summed_area_table
     }
 
-    /// Share of the voxels that are not transparent, 0..=1.
+    /// Bytes in memory.
+    pub fn bytes(&self) -> u64 {
+        self.tables.bytes() + self.slabs.as_ref().map_or(0, SlabTables::bytes) + self.occupied.len() as u64
+    }
+}
+
+/// The runs of a classified volume, for all three principal axes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Encodings {
+    /// For [`Purpose::Voxels`]: runs of non-transparent voxels, and those voxels.
+    Voxels(RunLengthVolume),
+    /// For [`Purpose::Slabs`]: runs of cells in which something shows.
+    Cells(CellRuns),
+}
+
+impl Encodings {
+    /// Encodes on the current rayon pool.
+    pub fn build(prepared: &PreparedVolume, transfer: &TransferFunction, classification: &Classification) -> Self {
+        match &classification.slabs {
+            None => {
+                let Classification { tables, occupied, .. } = classification;
+                Self::Voxels(RunLengthVolume::encode(prepared, tables, transfer, occupied))
+            }
+            Some(slabs) => Self::Cells(CellRuns::encode(prepared, slabs.visible_codes(), &classification.occupied)),
+        }
+    }
+
+    /// The encodings of voxels, where that is what they are of.
+    pub fn voxels(&self) -> Option<&RunLengthVolume> {
+        match self {
+            Self::Voxels(voxels) => Some(voxels),
+            Self::Cells(_) => None,
+        }
+    }
+
+    /// The runs of cells, where that is what they are of.
+    pub fn cells(&self) -> Option<&CellRuns> {
+        match self {
+            Self::Voxels(_) => None,
+            Self::Cells(cells) => Some(cells),
+        }
+    }
+
+    /// Share of the voxels (or cells) that are not transparent, 0..=1.
     pub fn nontransparent_share(&self) -> f64 {
-        let [nx, ny, nz] = self.run_lengths.dims;
-        self.run_lengths.voxels() as f64 / (nx * ny * nz) as f64
+        match self {
+            Self::Voxels(voxels) => voxels.nontransparent_share(),
+            Self::Cells(cells) => cells.nontransparent_share(),
+        }
+    }
+
+    /// Bytes in memory, all axes.
+    pub fn bytes(&self) -> u64 {
+        match self {
+            Self::Voxels(voxels) => voxels.bytes(),
+            Self::Cells(cells) => cells.bytes(),
+        }
     }
 
     /// Writes the encodings for [`Self::read_from`]; the caller adds version and checksum.
@@ -79,10 +159,13 @@ impl ClassifiedVolume {
     /// # Errors
     /// Those of `out`.
     pub fn write_to(&self, out: &mut impl Write) -> io::Result<()> {
-        serial::write(&self.run_lengths, out)
+        match self {
+            Self::Voxels(voxels) => serial::write(voxels, out),
+            Self::Cells(cells) => serial::write_cells(cells, out),
+        }
     }
 
-    /// Reads what [`Self::write_to`] wrote for the same volume, transfer function and threshold.
+    /// Reads what [`Self::write_to`] wrote for the same volume, transfer function and purpose.
     ///
     /// # Errors
     /// Where the bytes are truncated or do not fit `prepared`; nothing is taken on trust, and no
@@ -90,14 +173,13 @@ impl ClassifiedVolume {
     pub fn read_from(
         prepared: &PreparedVolume,
         transfer: &TransferFunction,
-        min_opacity: f64,
+        purpose: Purpose,
         input: &mut impl Read,
     ) -> io::Result<Self> {
-        let start = Instant::now();
-        let tables = CodeTables::new(prepared.volume(), transfer, min_opacity);
         let with_factors = !transfer.gradient_opacity.is_empty();
-        let run_lengths = serial::read(prepared.volume(), with_factors, input)?;
-        let timings = ClassifyTimings { run_lengths: start.elapsed(), ..ClassifyTimings::default() };
-        Ok(Self { tables, run_lengths, timings })
+        Ok(match purpose {
+            Purpose::Voxels { .. } => Self::Voxels(serial::read(prepared.volume(), with_factors, input)?),
+            Purpose::Slabs { .. } => Self::Cells(serial::read_cells(prepared.volume(), input)?),
+        })
     }
 }

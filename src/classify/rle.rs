@@ -152,6 +152,11 @@ impl RunLengthVolume {
         self.along_x.iter().map(|p| p.voxels.len() as u64).sum()
     }
 
+    /// Share of the voxels that are not transparent, 0..=1.
+    pub fn nontransparent_share(&self) -> f64 {
+        self.voxels() as f64 / self.dims.iter().product::<usize>() as f64
+    }
+
     /// Bytes in memory, all orders.
     pub fn bytes(&self) -> u64 {
         self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum()

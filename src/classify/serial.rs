@@ -5,6 +5,7 @@
 
 use std::io::{self, Read, Write};
 
+use super::cells::{self, CellRuns};
 use super::rle::{Plane, RunLengthVolume, WORD};
 use crate::volume::Volume;
 use crate::volume::gradient::NO_NORMAL;
@@ -37,6 +38,29 @@ pub(super) fn read(volume: &Volume, with_factors: bool, input: &mut impl Read) -
         (0..nz).map(|_| read_plane(input, length, rows, last_code, with_factors)).collect()
     };
     Ok(RunLengthVolume { dims, along_x: planes(nx, ny)?, along_y: planes(ny, nx)? })
+}
+
+/// Writes the runs of cells.
+pub(super) fn write_cells(cells: &CellRuns, out: &mut impl Write) -> io::Result<()> {
+    out.write_all(bytemuck::bytes_of(&BYTE_ORDER))?;
+    out.write_all(bytemuck::bytes_of(&cells.dims.map(|n| n as u32)))?;
+    out.write_all(bytemuck::cast_slice(&cells.along_x))?;
+    out.write_all(bytemuck::cast_slice(&cells.along_y))
+}
+
+/// Reads and checks the runs of cells.
+pub(super) fn read_cells(volume: &Volume, input: &mut impl Read) -> io::Result<CellRuns> {
+    let dims @ [nx, ny, nz] = volume.dims().map(|n| n - 1);
+    expect(read_value::<u32>(input)? == BYTE_ORDER, "another byte order")?;
+    expect(read_value::<[u32; 3]>(input)? == dims.map(|n| n as u32), "other dimensions")?;
+    let mut read = |cells: usize, rows: usize| -> io::Result<Vec<u64>> {
+        let words: Vec<u64> = read_values(input, cells::words(cells) * rows)?;
+        let past_end = if cells.is_multiple_of(cells::WORD) { 0 } else { u64::MAX << (cells % cells::WORD) };
+        let last = words.chunks_exact(cells::words(cells)).map(|row| row[row.len() - 1]);
+        expect(last.fold(0, |all, word| all | word) & past_end == 0, "cells past the end of a scanline")?;
+        Ok(words)
+    };
+    Ok(CellRuns { dims, along_x: read(nx, ny * nz)?, along_y: read(ny, nx * nz)? })
 }
 
 fn read_plane(

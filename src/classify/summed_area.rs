@@ -31,14 +31,33 @@ pub struct SummedAreaTable {
 impl SummedAreaTable {
     /// Sums `tables` (and the gradient opacity of `transfer`) over the ranges that `octree` knows.
     pub fn new(tables: &CodeTables, transfer: &TransferFunction, octree: &MinMaxOctree) -> Self {
-        let codes = tables.extinction.len();
+        let drawn = |bin: &[f32], factor: u8| {
+            let densest = bin.iter().fold(0f32, |a, &b| a.max(b));
+            tables.is_visible(densest, factor)
+        };
+        Self::sum(&tables.extinction, transfer, octree, drawn)
+    }
+
+    /// Sums the codes at which slabs may show something. What is interpolated may have a smaller
+    /// gradient than all that it was made of, so a leaf shows if any of its gradients, or zero, does.
+    pub fn of_slabs(visible: &[bool], transfer: &TransferFunction, octree: &MinMaxOctree) -> Self {
+        Self::sum(visible, transfer, octree, |bin, factor| factor > 0 && bin.contains(&true))
+    }
+
+    /// Counts the bins of which `drawn` says, of the codes' entries and a gradient opacity, that
+    /// something shows.
+    fn sum<E>(
+        by_code: &[E],
+        transfer: &TransferFunction,
+        octree: &MinMaxOctree,
+        drawn: impl Fn(&[E], u8) -> bool,
+    ) -> Self {
+        let codes = by_code.len();
         let shift = (0..16).find(|shift| (codes - 1) >> shift < SCALAR_BINS).unwrap_or(16);
         let scalar_bins = ((codes - 1) >> shift) + 1;
         let steepest = octree.root().gradient.1.max(f32::MIN_POSITIVE);
         let gradient_bins = if transfer.gradient_opacity.is_empty() { 1 } else { GRADIENT_BINS };
         let gradient_scale = gradient_bins as f32 / steepest;
-        let densest: Vec<f32> =
-            tables.extinction.chunks(1 << shift).map(|bin| bin.iter().fold(0f32, |a, &b| a.max(b))).collect();
         let strongest: Vec<u8> = (0..gradient_bins)
             .map(|bin| largest_factor(transfer, bin as f32 / gradient_scale, (bin + 1) as f32 / gradient_scale))
             .collect();
@@ -46,8 +65,8 @@ impl SummedAreaTable {
         let width = scalar_bins + 1;
         for (y, factor) in strongest.iter().enumerate() {
             let mut along = 0;
-            for (x, tau) in densest.iter().enumerate() {
-                along += u32::from(tables.is_visible(*tau, *factor));
+            for (x, bin) in by_code.chunks(1 << shift).enumerate() {
+                along += u32::from(drawn(bin, *factor));
                 sums[(y + 1) * width + x + 1] = sums[y * width + x + 1] + along;
             }
         }

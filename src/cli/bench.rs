@@ -119,11 +119,11 @@ fn measure(arguments: &Arguments) -> Result<Report, Failure> {
         volume,
         dimensions: stage.prepared.volume().dims(),
         algorithm: settings.algorithm.name(),
-        quality: stage.resolved.quality.name(),
+        quality: settings.quality.name(),
         threads: rayon::current_num_threads(),
         frames: arguments.frames,
         image: [width, height],
-        nontransparent_share: stage.classified.as_ref().map(|c| c.nontransparent_share()),
+        nontransparent_share: stage.classified.as_ref().map(|c| c.encodings.nontransparent_share()),
         frame_ms: phases.summaries(settings.algorithm),
         prepare_ms: prepare_ms(&stage, load),
         bytes: bytes(&stage, &phases),
@@ -204,8 +204,10 @@ impl Summary {
 fn prepare_ms(stage: &Stage, load: Duration) -> Named<f64> {
     let prepared = stage.prepared.timings();
     let once = [("load", load), ("gradients", prepared.gradients), ("octree", prepared.octree)];
-    let classified = stage.classified.as_ref().map(|c| c.timings());
-    let steps = classified.map(|t| [("summed_area_table", t.summed_area_table), ("run_lengths", t.run_lengths)]);
+    let steps = stage
+        .classified
+        .as_ref()
+        .map(|c| [("summed_area_table", c.classification.summed_area_table()), ("run_lengths", c.run_lengths)]);
     once.into_iter().chain(steps.into_iter().flatten()).map(|(step, d)| (step, d.as_secs_f64() * 1e3)).collect()
 }
 

@@ -103,7 +103,7 @@ impl Info {
                 volumes_left_out: report.volumes_left_out,
             },
             histogram: bins(volume, BINS),
-            nontransparent_share: classified.map_or(0.0, |c| c.nontransparent_share()),
+            nontransparent_share: classified.map_or(0.0, |c| c.encodings.nontransparent_share()),
             bytes: stage.prepared.bytes().into_iter().chain(classified.into_iter().flat_map(|c| c.bytes())).collect(),
         }
     }

@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 
 use clap::{Arg, ArgMatches, Args, Command};
 use indicatif::ProgressBar;
-use shearwarp::classify::ClassifiedVolume;
 use shearwarp::classify::presets::FittedPresets;
-use shearwarp::render::{self, Algorithm, Cancel, Image, Scene, Timings, View};
+use shearwarp::classify::{Classification, Encodings};
+use shearwarp::render::{self, Cancel, Image, Scene, Timings, View};
 use shearwarp::service;
 use shearwarp::service::request::{ImageLimits, Kind, OPTIONS, RenderRequest, RequestError, ResolvedRequest};
 use shearwarp::volume::decode::{self, Limits, RawLayout};
@@ -134,11 +134,26 @@ impl clap::FromArgMatches for RequestArguments {
 #[derive(Debug)]
 pub struct Stage {
     pub prepared: PreparedVolume,
-    /// Where the algorithm walks encodings.
-    pub classified: Option<ClassifiedVolume>,
+    /// What the algorithm walks, where it is not the ray caster.
+    pub classified: Option<Classified>,
     pub request: RenderRequest,
     /// The request before any turn.
     pub resolved: ResolvedRequest,
+}
+
+/// A classification, its encodings, and how long these took.
+#[derive(Debug)]
+pub struct Classified {
+    pub classification: Classification,
+    pub encodings: Encodings,
+    pub run_lengths: Duration,
+}
+
+impl Classified {
+    /// Bytes in memory, by structure: `run_lengths`, `tables`.
+    pub fn bytes(&self) -> [(&'static str, u64); 2] {
+        [("run_lengths", self.encodings.bytes()), ("tables", self.classification.bytes())]
+    }
 }
 
 impl Stage {
@@ -149,10 +164,12 @@ impl Stage {
         let progress = spinner("gradients and octree");
         let prepared = PreparedVolume::build(loaded.volume);
         progress.set_message("run-length encodings");
-        let classified = match resolved.settings.algorithm {
-            Algorithm::Classified => Some(ClassifiedVolume::build(&prepared, &resolved.transfer, resolved.min_opacity)),
-            Algorithm::Raycast => None,
-        };
+        let classified = resolved.purpose().map(|purpose| {
+            let classification = Classification::build(&prepared, &resolved.transfer, purpose);
+            let start = Instant::now();
+            let encodings = Encodings::build(&prepared, &resolved.transfer, &classification);
+            Classified { classification, encodings, run_lengths: start.elapsed() }
+        });
         progress.finish_and_clear();
         Ok(Self { prepared, classified, request, resolved })
     }
@@ -165,8 +182,12 @@ impl Stage {
 
     /// The frame of a view.
     pub fn frame(&self, view: &View) -> Result<(Image, Timings), Failure> {
-        let scene =
-            Scene { prepared: &self.prepared, transfer: &self.resolved.transfer, classified: self.classified.as_ref() };
+        let scene = Scene {
+            prepared: &self.prepared,
+            transfer: &self.resolved.transfer,
+            classification: self.classified.as_ref().map(|c| &c.classification),
+            encodings: self.classified.as_ref().map(|c| &c.encodings),
+        };
         render::render(&scene, view, &self.resolved.settings, &Cancel::default())
             .map_err(|error| Failure::Usage(error.to_string()))
     }

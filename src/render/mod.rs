@@ -6,6 +6,7 @@ mod image;
 pub mod intermediate;
 pub mod material;
 pub mod shade;
+mod shear_warp;
 pub mod view;
 pub mod warp;
 
@@ -16,23 +17,31 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::classify::{ClassifiedVolume, TransferFunction};
+use crate::classify::{Classification, Encodings, TransferFunction};
 use crate::raycast::raycast;
-use crate::volume::gradient::GradientFrame;
 use crate::volume::{PreparedVolume, Volume};
-use composite::Composite;
 use factorization::Factorization;
 pub use image::Image;
-use intermediate::IntermediateImage;
-use material::{Material, SliceTables};
-use shade::ShadingTable;
 pub use view::{Camera, LookAt, Orbit, Projection, Ray, View, ViewError};
+
+/// Accumulated opacity at which a pixel is done: what is left of the light would change an 8-bit
+/// channel by up to 5 (draft), 3 (standard), or nothing (reference).
+const TERMINATION_DRAFT: f32 = 0.98;
+const TERMINATION_STANDARD: f32 = 0.99;
+const TERMINATION_REFERENCE: f32 = 0.9999;
+/// In smallest spacings: two samples per voxel, as sampling theory asks for.
+const SAMPLE_DISTANCE: f64 = 0.5;
+const SAMPLE_DISTANCE_HIGH: f64 = 0.125;
 
 /// How a frame is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Algorithm {
     /// Run-length encoded volumes (Lacroute and Levoy 1994, section 3.1).
     Classified,
+    /// Octree and summed-area table over the unencoded volume (section 3.3); the same pixels.
+    FastClassification,
+    /// Slabs between slices, looked up in a pre-integration table (Schulze et al. 2003).
+    Preintegrated,
     /// The image-order reference.
     Raycast,
 }
@@ -42,9 +51,138 @@ impl Algorithm {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Classified => "classified",
+            Self::FastClassification => "fast-classification",
+            Self::Preintegrated => "preintegrated",
             Self::Raycast => "raycast",
         }
     }
+}
+
+/// How much a frame may cost, and how near to the integral it comes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Quality {
+    /// A coarser level of the volume, for dragging.
+    Draft,
+    /// Voxel resolution: one sample per voxel, and a warp into the final image.
+    #[default]
+    Standard,
+    /// The output's own rays, two samples per voxel, and no warp.
+    High,
+}
+
+impl Quality {
+    /// The name used by the API.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Draft => "draft",
+            Self::Standard => "standard",
+            Self::High => "high",
+        }
+    }
+}
+
+/// What becomes of the samples along a ray.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Blend {
+    /// Emission and absorption: the optical model.
+    #[default]
+    Composite,
+    /// An intensity projection: an opaque gray for every ray that meets the volume.
+    Projection(IntensityProjection, Window),
+}
+
+/// Which of a ray's scalars is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum IntensityProjection {
+    Maximum,
+    Minimum,
+    Average,
+}
+
+/// Which values are shown from black (`center - width / 2`) to white, in the file's own units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    pub center: f64,
+    /// Above 0.
+    pub width: f64,
+}
+
+/// Colours fade with depth: times `front * exp(-density * depth)`, with depth 0 at the front and 1
+/// at the back of the volume's bounding sphere, along the camera's axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthCueing {
+    pub front: f64,
+    pub density: f64,
+}
+
+/// Options of [`Algorithm::Preintegrated`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Preintegration {
+    pub table: SlabTable,
+    /// Entries along each axis of a two-dimensional table.
+    pub entries: usize,
+    pub lookup: Lookup,
+    pub opacity_correction: OpacityCorrection,
+    pub buffer: BufferSlice,
+    /// Slabs from one slice to the next.
+    pub samples_per_voxel: usize,
+}
+
+impl Preintegration {
+    /// Entries of a table whose size is not told.
+    pub const ENTRIES: usize = 256;
+
+    /// What a quality uses where the request does not tell.
+    pub const fn of(quality: Quality) -> Self {
+        Self {
+            table: SlabTable::TwoDimensional,
+            entries: Self::ENTRIES,
+            lookup: Lookup::Bilinear,
+            opacity_correction: OpacityCorrection::View,
+            buffer: BufferSlice::Slice,
+            samples_per_voxel: match quality {
+                Quality::Draft | Quality::Standard => 1,
+                Quality::High => 2,
+            },
+        }
+    }
+}
+
+/// The table that slabs are looked up in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum SlabTable {
+    /// By front and back scalar (Schulze et al. 2003).
+    TwoDimensional,
+    /// Running sums over one scalar (Kye et al. 2005).
+    OneDimensional,
+}
+
+/// How a two-dimensional table is read between its entries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Lookup {
+    Nearest,
+    Bilinear,
+}
+
+/// How opacities are made to suit the length of a ray within a slab.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum OpacityCorrection {
+    /// A table for the distance of slices; what is looked up is corrected.
+    Lookup,
+    /// A table for the view's own length.
+    View,
+    /// A table for the distance of slices, taken as it is.
+    Off,
+}
+
+/// Where a slab's back scalars wait to be the next slab's front scalars.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum BufferSlice {
+    /// Two buffers the size of a slice (SB).
+    Slice,
+    /// One buffer the size of the intermediate image (IB).
+    Image,
 }
 
 /// Coefficients of the shading model; see [`Shading::default`] for what "on" means.
@@ -89,6 +227,11 @@ pub enum Background {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     pub algorithm: Algorithm,
+    pub quality: Quality,
+    pub blend: Blend,
+    /// For [`Algorithm::Preintegrated`].
+    pub preintegration: Preintegration,
+    pub depth_cueing: Option<DepthCueing>,
     pub background: Background,
     /// `None`: colours as the transfer function gives them.
     pub shading: Option<Shading>,
@@ -98,6 +241,31 @@ pub struct Settings {
     pub sample_distance: f64,
     /// Whether empty space is skipped; the picture is the same bit for bit.
     pub skipping: bool,
+}
+
+impl Settings {
+    /// The defaults of an algorithm and a quality: shaded, over black.
+    pub fn new(algorithm: Algorithm, quality: Quality) -> Self {
+        Self {
+            algorithm,
+            quality,
+            blend: Blend::Composite,
+            preintegration: Preintegration::of(quality),
+            depth_cueing: None,
+            background: Background::Opaque([0.0; 3]),
+            shading: Some(Shading::default()),
+            early_ray_termination: match (algorithm, quality) {
+                (Algorithm::Raycast, _) | (_, Quality::High) => TERMINATION_REFERENCE,
+                (_, Quality::Draft) => TERMINATION_DRAFT,
+                (_, Quality::Standard) => TERMINATION_STANDARD,
+            },
+            sample_distance: match quality {
+                Quality::Draft | Quality::Standard => SAMPLE_DISTANCE,
+                Quality::High => SAMPLE_DISTANCE_HIGH,
+            },
+            skipping: true,
+        }
+    }
 }
 
 /// How long each stage of a frame took. Stages that did not run are zero.
@@ -147,8 +315,10 @@ pub enum RenderError {
 pub struct Scene<'a> {
     pub prepared: &'a PreparedVolume,
     pub transfer: &'a TransferFunction,
-    /// Needed by [`Algorithm::Classified`], not looked at by [`Algorithm::Raycast`].
-    pub classified: Option<&'a ClassifiedVolume>,
+    /// For the algorithm's purpose; not looked at by [`Algorithm::Raycast`] and by projections.
+    pub classification: Option<&'a Classification>,
+    /// Of that classification, where they are there: frames without are slower and the same.
+    pub encodings: Option<&'a Encodings>,
 }
 
 /// Refuses what [`render`] would refuse, before anything is built or queued for it.
@@ -159,6 +329,10 @@ pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), Re
     match settings.algorithm {
         Algorithm::Raycast => Ok(()),
         Algorithm::Classified => Factorization::new(view, volume).map(|_| ()),
+        Algorithm::FastClassification | Algorithm::Preintegrated => Err(RenderError::Unsupported {
+            pointer: "/algorithm",
+            detail: format!("{} is not supported by this version", settings.algorithm.name()),
+        }),
     }
 }
 
@@ -175,7 +349,7 @@ pub fn render(
 ) -> Result<(Image, Timings), RenderError> {
     match settings.algorithm {
         Algorithm::Raycast => reference(scene, view, settings, cancel),
-        Algorithm::Classified => shear_warp(scene, view, settings, cancel),
+        _ => shear_warp::frame(scene, view, settings, cancel),
     }
 }
 
@@ -196,74 +370,4 @@ fn reference(
     rows.for_each(|(out, row)| image::write_row(row, &settings.background, out));
     let timings = Timings { composite, render: start.elapsed(), ..Timings::default() };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
-}
-
-/// A frame by the shear-warp factorization: the paper's outline.
-fn shear_warp(
-    scene: &Scene<'_>,
-    view: &View,
-    settings: &Settings,
-    cancel: &Cancel,
-) -> Result<(Image, Timings), RenderError> {
-    let classified = scene.classified.expect("the algorithm classified needs a classified volume");
-    let start = Instant::now();
-    let volume = scene.prepared.volume();
-
-    // Factor the view into shear and warp.
-    let factorization = Factorization::new(view, volume)?;
-
-    // Make the tables that depend on the view: opacity and colour by code, shading by normal.
-    let factored = !scene.transfer.gradient_opacity.is_empty();
-    let tables = SliceTables::new(classified.tables(), &factorization, factored);
-    let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-    let shading =
-        settings.shading.as_ref().map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame));
-    let shade = start.elapsed();
-
-    // Shear, resample and composite the slices into the intermediate image.
-    let mut intermediate = IntermediateImage::new(factorization.size);
-    let frame = ClassifiedFrame { classified, factorization: &factorization, settings, cancel };
-    match (&shading, factored) {
-        (Some(_), true) => frame.composite::<true, true>(&tables, shading.as_ref(), &mut intermediate),
-        (Some(_), false) => frame.composite::<true, false>(&tables, shading.as_ref(), &mut intermediate),
-        (None, true) => frame.composite::<false, true>(&tables, None, &mut intermediate),
-        (None, false) => frame.composite::<false, false>(&tables, None, &mut intermediate),
-    }?;
-    let composite = start.elapsed();
-
-    // Warp the intermediate image into the final one.
-    let (width, height) = view.size();
-    let channels = settings.background.channels();
-    let mut pixels = vec![0; width as usize * height as usize * channels];
-    warp::warp(&intermediate, &factorization, &settings.background, width as usize, &mut pixels, cancel)?;
-    let render = start.elapsed();
-
-    let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
-    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
-}
-
-/// What compositing takes from the frame, whatever its type parameters.
-struct ClassifiedFrame<'a> {
-    classified: &'a ClassifiedVolume,
-    factorization: &'a Factorization,
-    settings: &'a Settings,
-    cancel: &'a Cancel,
-}
-
-impl ClassifiedFrame<'_> {
-    fn composite<const LIT: bool, const FACTORED: bool>(
-        &self,
-        tables: &SliceTables,
-        shading: Option<&ShadingTable>,
-        image: &mut IntermediateImage,
-    ) -> Result<(), RenderError> {
-        let composite = Composite::<LIT, FACTORED> {
-            encoding: self.classified.run_lengths().for_axis(self.factorization.principal_axis),
-            factorization: self.factorization,
-            material: Material::new(tables, shading),
-            opaque: self.settings.early_ray_termination,
-            cancel: self.cancel,
-        };
-        if self.settings.skipping { composite.run(image) } else { composite::naive::run(&composite, image) }
-    }
 }

@@ -14,10 +14,10 @@ use super::error::Problem;
 use super::observe::Rendered;
 use super::render_pool::Ticket;
 use super::request::{RenderRequest, ResolvedRequest};
-use super::store::{Classification, LoadedVolume};
+use super::store::{ClassifiedKey, LoadedVolume};
 use super::{App, metrics, negotiate};
 use crate::encode::{Format, encode};
-use crate::render::{self, Algorithm, Image, Scene, Timings};
+use crate::render::{self, Image, Scene, Timings};
 
 const ALGORITHM: HeaderName = HeaderName::from_static("x-render-algorithm");
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
@@ -150,18 +150,19 @@ impl Asked {
 
     async fn make(&self, app: &App, ticket: &Ticket) -> Result<Made, Problem> {
         let start = Instant::now();
-        let classified = match self.frame.settings.algorithm {
-            Algorithm::Raycast => None,
-            Algorithm::Classified => {
-                let classification = Classification::of(&self.frame);
-                Some(app.store.classified(ticket, &self.volume, classification, false).await?)
-            }
+        let classified = match ClassifiedKey::of(&self.frame) {
+            None => None,
+            Some(made_from) => Some(app.store.classified(ticket, &self.volume, made_from, false).await?),
         };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
         let job = move |cancel: &render::Cancel| {
-            let scene =
-                Scene { prepared: &volume.prepared, transfer: &frame.transfer, classified: classified.as_deref() };
+            let scene = Scene {
+                prepared: &volume.prepared,
+                transfer: &frame.transfer,
+                classification: classified.as_ref().map(|c| &c.classification),
+                encodings: classified.as_ref().map(|c| &c.encodings),
+            };
             let (image, stages) = render::render(&scene, &frame.view, &frame.settings, cancel)?;
             let start = Instant::now();
             let bytes = encode(&image, format).map_err(|error| {

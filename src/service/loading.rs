@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 
 use super::App;
 use super::request::RenderRequest;
-use super::store::{Classification, Entry, LoadedVolume, Source};
+use super::store::{ClassifiedKey, Entry, LoadedVolume, Source};
 use crate::volume::{Volume, decode, phantom};
 
 /// Why a folder cannot be served.
@@ -154,11 +154,10 @@ async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
     let resolved = RenderRequest::from_json(br#"{"image": {"width": 1, "height": 1}}"#)
         .and_then(|request| request.resolve(volume.volume(), &volume.presets, &app.config.image.limits()))
         .map_err(|error| error.to_string())?;
-    let ticket = app.pool.own_work();
-    app.store
-        .classified(&ticket, volume, Classification::of(&resolved), true)
-        .await
-        .map_err(|error| error.to_string())?;
+    if let Some(made_from) = ClassifiedKey::of(&resolved) {
+        let ticket = app.pool.own_work();
+        app.store.classified(&ticket, volume, made_from, true).await.map_err(|error| error.to_string())?;
+    }
     Ok(())
 }
 

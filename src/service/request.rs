@@ -19,7 +19,7 @@ use serde_json::Value;
 pub use crate::classify::InvalidField;
 use crate::classify::TransferFunction;
 use crate::encode::Format;
-use crate::render::{Background, Camera, Shading};
+use crate::render::{Background, Camera, Quality, Shading};
 pub use options::{Kind, OPTIONS, RequestOption};
 pub use resolve::{ImageLimits, ResolvedRequest};
 
@@ -38,27 +38,6 @@ impl RequestError {
     /// One field at fault.
     pub fn refused(pointer: &str, detail: impl Into<String>) -> Self {
         Self::Refused(vec![InvalidField { pointer: pointer.into(), detail: detail.into() }])
-    }
-}
-
-/// Draft, standard or high.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Quality {
-    Draft,
-    #[default]
-    Standard,
-    High,
-}
-
-impl Quality {
-    /// The name used by the API.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Draft => "draft",
-            Self::Standard => "standard",
-            Self::High => "high",
-        }
     }
 }
 

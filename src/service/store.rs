@@ -21,7 +21,7 @@ use super::metrics;
 use super::render_pool::{PoolError, Ticket};
 use super::request::ResolvedRequest;
 use crate::classify::presets::FittedPresets;
-use crate::classify::{ClassifiedVolume, TransferFunction};
+use crate::classify::{Classification, Encodings, Purpose, TransferFunction};
 use crate::volume::histogram::Histogram;
 use crate::volume::{PreparedVolume, Scalars, Volume};
 
@@ -134,30 +134,37 @@ fn fingerprint(volume: &Volume) -> u128 {
 
 /// What a classified volume is made from, besides the volume.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Classification {
+pub struct ClassifiedKey {
     pub transfer: TransferFunction,
-    pub min_opacity: f64,
+    pub purpose: Purpose,
 }
 
-impl Classification {
-    /// What a frame needs.
-    pub fn of(frame: &ResolvedRequest) -> Self {
-        Self { transfer: frame.transfer.clone(), min_opacity: frame.min_opacity }
+impl ClassifiedKey {
+    /// What a frame needs; `None`: nothing classified.
+    pub fn of(frame: &ResolvedRequest) -> Option<Self> {
+        frame.purpose().map(|purpose| Self { transfer: frame.transfer.clone(), purpose })
     }
 
     /// The whole content, not a hash of it: hashes can be made to collide by whoever sends transfer
     /// functions, and then one client would get another's picture.
-    fn key(&self, volume: &LoadedVolume) -> Arc<str> {
+    fn name(&self, volume: &LoadedVolume) -> Arc<str> {
         let transfer = serde_json::to_string(&self.transfer).expect("a transfer function has only string keys");
-        format!("{:032x} {:?} {transfer}", volume.fingerprint, self.min_opacity).into()
+        format!("{:032x} {:?} {transfer}", volume.fingerprint, self.purpose).into()
     }
+}
+
+/// A classification and its encodings.
+#[derive(Debug)]
+pub struct Classified {
+    pub classification: Classification,
+    pub encodings: Encodings,
 }
 
 /// Volumes by id, classified volumes by what they are made from.
 #[derive(Debug)]
 pub struct Store {
     entries: BTreeMap<String, Arc<Entry>>,
-    classified: Cache<Arc<str>, Arc<ClassifiedVolume>>,
+    classified: Cache<Arc<str>, Arc<Classified>>,
     folder: Option<CacheFolder>,
     retry_after: u64,
 }
@@ -166,7 +173,7 @@ impl Store {
     /// A store of these volumes. Classified volumes take `classified_bytes` of memory at most.
     pub fn new(entries: Vec<Entry>, classified_bytes: u64, folder: Option<CacheFolder>, retry_after: u64) -> Self {
         let classified = Cache::builder()
-            .weigher(|key: &Arc<str>, classified: &Arc<ClassifiedVolume>| kib(key.len() as u64 + total(classified)))
+            .weigher(|key: &Arc<str>, classified: &Arc<Classified>| kib(key.len() as u64 + total(classified)))
             .max_capacity(classified_bytes / 1024)
             .eviction_policy(EvictionPolicy::lru())
             .build();
@@ -224,10 +231,10 @@ impl Store {
         &self,
         ticket: &Ticket,
         volume: &Arc<LoadedVolume>,
-        classification: Classification,
+        made_from: ClassifiedKey,
         keep: bool,
-    ) -> Result<Arc<ClassifiedVolume>, PoolError> {
-        let key = classification.key(volume);
+    ) -> Result<Arc<Classified>, PoolError> {
+        let key = made_from.name(volume);
         let hit = self.classified.get(&key).await;
         metrics::classified_cache(hit.is_some());
         if let Some(classified) = hit {
@@ -237,7 +244,7 @@ impl Store {
             (self.classified.clone(), self.folder.clone(), Arc::clone(volume), ticket.clone());
         let build = tokio::spawn(async move {
             let name = Arc::clone(&key);
-            let job = move || Arc::new(obtain(&name, &volume, &classification, folder.as_ref(), keep));
+            let job = move || Arc::new(obtain(&name, &volume, &made_from, folder.as_ref(), keep));
             cache.try_get_with(key, async move { ticket.run(move |_| job()).await.map(|(built, _)| built) }).await
         });
         build.await.map_err(|_| PoolError::Panicked)?.map_err(|shared| PoolError::clone(&shared))
@@ -248,28 +255,29 @@ impl Store {
 fn obtain(
     key: &str,
     volume: &LoadedVolume,
-    Classification { transfer, min_opacity }: &Classification,
+    ClassifiedKey { transfer, purpose }: &ClassifiedKey,
     folder: Option<&CacheFolder>,
     keep: bool,
-) -> ClassifiedVolume {
+) -> Classified {
+    let classification = Classification::build(&volume.prepared, transfer, *purpose);
     let read = |folder: &CacheFolder| {
-        folder.load(key, |mut input| ClassifiedVolume::read_from(&volume.prepared, transfer, *min_opacity, &mut input))
+        folder.load(key, |mut input| Encodings::read_from(&volume.prepared, transfer, *purpose, &mut input))
     };
-    if let Some(kept) = folder.and_then(read) {
-        return kept;
+    if let Some(encodings) = folder.and_then(read) {
+        return Classified { classification, encodings };
     }
-    let built = ClassifiedVolume::build(&volume.prepared, transfer, *min_opacity);
+    let built = Encodings::build(&volume.prepared, transfer, &classification);
     if let Some(folder) = folder.filter(|_| keep)
         && let Err(error) = folder.save(key, |mut output| built.write_to(&mut output))
     {
         tracing::warn!(%error, "the cache folder cannot be written; the next start builds anew");
     }
-    built
+    Classified { classification, encodings: built }
 }
 
 /// Bytes of a classified volume.
-fn total(classified: &ClassifiedVolume) -> u64 {
-    classified.bytes().iter().map(|(_, bytes)| bytes).sum()
+fn total(classified: &Classified) -> u64 {
+    classified.classification.bytes() + classified.encodings.bytes()
 }
 
 /// Weights are 32 bits wide, hence KiB: up to 4 TiB.
@@ -299,14 +307,14 @@ mod tests {
         .unwrap()
     }
 
-    fn classification(opacity: f64) -> Classification {
+    fn made_from(opacity: f64) -> ClassifiedKey {
         let point = |value, opacity| ControlPoint { value, opacity, color: Color([1.0; 3]) };
         let transfer = TransferFunction {
             points: vec![point(0.0, 0.0), point(200.0, opacity)],
             opacity_distance: Some(1.0),
             gradient_opacity: vec![],
         };
-        Classification { transfer, min_opacity: 0.002 }
+        ClassifiedKey { transfer, purpose: Purpose::Voxels { min_opacity: 0.002 } }
     }
 
     fn ball(radius: f64) -> Arc<LoadedVolume> {
@@ -322,14 +330,14 @@ mod tests {
         let (store, pool, volume) = (store(1 << 30), pool(), ball(8.0));
         let requests = (0..20).map(|_| {
             let (store, volume, ticket) = (Arc::clone(&store), Arc::clone(&volume), pool.admit().unwrap());
-            tokio::spawn(async move { store.classified(&ticket, &volume, classification(0.5), false).await.unwrap() })
+            tokio::spawn(async move { store.classified(&ticket, &volume, made_from(0.5), false).await.unwrap() })
         });
         let mut built = vec![];
         for request in requests.collect::<Vec<_>>() {
             built.push(request.await.unwrap());
         }
         assert!(built.iter().all(|one| Arc::ptr_eq(one, &built[0])));
-        let other = store.classified(&pool.own_work(), &volume, classification(0.6), false).await.unwrap();
+        let other = store.classified(&pool.own_work(), &volume, made_from(0.6), false).await.unwrap();
         assert!(!Arc::ptr_eq(&other, &built[0]));
     }
 
@@ -337,7 +345,7 @@ mod tests {
     async fn a_build_outlives_the_client_that_began_it() {
         let (store, pool, volume) = (store(1 << 30), pool(), ball(8.0));
         let ticket = pool.own_work();
-        let first = store.classified(&ticket, &volume, classification(0.5), false);
+        let first = store.classified(&ticket, &volume, made_from(0.5), false);
         // Polled once, which hands the build over, and dropped (unless the build was done at once).
         let _ = tokio::time::timeout(Duration::ZERO, first).await;
         while store.cache_size().await.0 == 0 {
@@ -350,16 +358,16 @@ mod tests {
         let (pool, volume) = (pool(), ball(8.0));
         let one = {
             let store = store(1 << 30);
-            store.classified(&pool.own_work(), &volume, classification(0.5), false).await.unwrap();
+            store.classified(&pool.own_work(), &volume, made_from(0.5), false).await.unwrap();
             store.cache_size().await.1
         };
         let store = store(3 * one + one / 2);
         for opacity in [0.50, 0.51, 0.52, 0.53, 0.54, 0.55] {
-            store.classified(&pool.own_work(), &volume, classification(opacity), false).await.unwrap();
+            store.classified(&pool.own_work(), &volume, made_from(opacity), false).await.unwrap();
             assert!(store.cache_size().await.1 <= 3 * one + one / 2);
         }
         assert_eq!(store.cache_size().await.0, 3);
-        let newest = classification(0.55).key(&volume);
+        let newest = made_from(0.55).name(&volume);
         assert!(store.classified.get(&newest).await.is_some());
     }
 
@@ -369,6 +377,6 @@ mod tests {
         assert_ne!(ball(8.0).fingerprint, ball(7.0).fingerprint);
         let softer = LoadedVolume::build(phantom::ball(24, 8.0, 200.0, 2.0), None);
         assert_ne!(ball(8.0).fingerprint, softer.fingerprint);
-        assert_ne!(classification(0.5).key(&ball(8.0)), classification(0.6).key(&ball(8.0)));
+        assert_ne!(made_from(0.5).name(&ball(8.0)), made_from(0.6).name(&ball(8.0)));
     }
 }

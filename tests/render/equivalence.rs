@@ -1,7 +1,7 @@
 //! Fast paths and their slow twins give the same picture, bit for bit.
 
 use proptest::prelude::*;
-use shearwarp::classify::{GradientPoint, TransferFunction};
+use shearwarp::classify::{Encodings, GradientPoint, Purpose, TransferFunction};
 use shearwarp::render::{Algorithm, Camera, Light, Orbit, Projection, Settings, Shading};
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
@@ -95,25 +95,30 @@ fn the_ray_caster_skips_exact_zeros_only() {
 
 #[test]
 fn an_encoding_survives_its_bytes() {
-    use shearwarp::classify::ClassifiedVolume;
     for transfer in [solid(), with_gradient_opacity()] {
         let scene = Prepared::new(lumps([70, 35, 20], [1.0; 3], 4), transfer, 0.004);
-        let mut bytes = vec![];
-        scene.classified.write_to(&mut bytes).unwrap();
-        let read = |bytes: &[u8]| ClassifiedVolume::read_from(&scene.prepared, &scene.transfer, 0.004, &mut &bytes[..]);
-        assert_eq!(read(&bytes).unwrap().run_lengths(), scene.classified.run_lengths());
-        for cut in [0, 3, 15, 40, bytes.len() / 2, bytes.len() - 1] {
-            assert!(read(&bytes[..cut]).is_err(), "{cut} bytes of {}", bytes.len());
-        }
-        // Whatever is flipped, nothing that is read may leave the kernel's bounds.
-        let view = scene.view(&orbit((30.0, 20.0)), 20, 20);
-        for at in (0..bytes.len()).step_by(997) {
-            let mut damaged = bytes.clone();
-            damaged[at] ^= 0x55;
-            if let Ok(classified) = read(&damaged) {
-                let damaged =
-                    Prepared { classified, prepared: scene.prepared.clone(), transfer: scene.transfer.clone() };
-                damaged.frame(&view, &lit());
+        for (classification, encodings) in &scene.classified {
+            let mut bytes = vec![];
+            encodings.write_to(&mut bytes).unwrap();
+            let purpose = classification.purpose();
+            let read = |bytes: &[u8]| Encodings::read_from(&scene.prepared, &scene.transfer, purpose, &mut &bytes[..]);
+            assert_eq!(&read(&bytes).unwrap(), encodings);
+            for cut in [0, 3, 15, 40, bytes.len() / 2, bytes.len() - 1] {
+                assert!(read(&bytes[..cut]).is_err(), "{cut} bytes of {}", bytes.len());
+            }
+            // Whatever is flipped, nothing that is read may leave the kernel's bounds.
+            let view = scene.view(&orbit((30.0, 20.0)), 20, 20);
+            let algorithm = match purpose {
+                Purpose::Voxels { .. } => Algorithm::Classified,
+                Purpose::Slabs { .. } => continue,
+            };
+            let settings = Settings { algorithm, ..lit() };
+            for at in (0..bytes.len()).step_by(997) {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= 0x55;
+                if let Ok(damaged) = read(&damaged) {
+                    scene.frame_with(classification, Some(&damaged), &view, &settings);
+                }
             }
         }
     }

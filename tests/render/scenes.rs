@@ -1,20 +1,25 @@
 //! Scenes that the tests share: small volumes, transfer functions, views.
 
-use shearwarp::classify::{ClassifiedVolume, Color, ControlPoint, TransferFunction};
-use shearwarp::render::{Algorithm, Background, Camera, Cancel, Image, Scene, Settings, View, render};
+use shearwarp::classify::{Classification, Color, ControlPoint, Encodings, Purpose, TransferFunction};
+use shearwarp::render::{Algorithm, Background, Camera, Cancel, Image, Quality, Scene, Settings, View, render};
 use shearwarp::volume::{PreparedVolume, Volume};
 
 /// A volume under a transfer function, ready for any algorithm.
 pub struct Prepared {
     pub prepared: PreparedVolume,
     pub transfer: TransferFunction,
-    pub classified: ClassifiedVolume,
+    /// For single voxels, and for slabs.
+    pub classified: [(Classification, Encodings); 2],
 }
 
 impl Prepared {
     pub fn new(volume: Volume, transfer: TransferFunction, min_opacity: f64) -> Self {
         let prepared = PreparedVolume::build(volume);
-        let classified = ClassifiedVolume::build(&prepared, &transfer, min_opacity);
+        let classified = [Purpose::Voxels { min_opacity }, Purpose::Slabs { entries: 256 }].map(|purpose| {
+            let classification = Classification::build(&prepared, &transfer, purpose);
+            let encodings = Encodings::build(&prepared, &transfer, &classification);
+            (classification, encodings)
+        });
         Self { prepared, transfer, classified }
     }
 
@@ -24,7 +29,28 @@ impl Prepared {
     }
 
     pub fn frame(&self, view: &View, settings: &Settings) -> Image {
-        let scene = Scene { prepared: &self.prepared, transfer: &self.transfer, classified: Some(&self.classified) };
+        let (classification, encodings) = match settings.algorithm {
+            Algorithm::Classified | Algorithm::FastClassification => &self.classified[0],
+            Algorithm::Preintegrated | Algorithm::Raycast => &self.classified[1],
+        };
+        let encodings = (settings.algorithm != Algorithm::FastClassification).then_some(encodings);
+        self.frame_with(classification, encodings, view, settings)
+    }
+
+    /// The frame from what is given, whatever the algorithm would take.
+    pub fn frame_with(
+        &self,
+        classification: &Classification,
+        encodings: Option<&Encodings>,
+        view: &View,
+        settings: &Settings,
+    ) -> Image {
+        let scene = Scene {
+            prepared: &self.prepared,
+            transfer: &self.transfer,
+            classification: Some(classification),
+            encodings,
+        };
         render(&scene, view, settings, &Cancel::default()).unwrap().0
     }
 }
@@ -32,12 +58,10 @@ impl Prepared {
 /// Settings without shading over a transparent background, so that alpha can be read.
 pub fn plain(algorithm: Algorithm) -> Settings {
     Settings {
-        algorithm,
         background: Background::Transparent,
         shading: None,
         early_ray_termination: 1.0,
-        sample_distance: 0.5,
-        skipping: true,
+        ..Settings::new(algorithm, Quality::Standard)
     }
 }
 

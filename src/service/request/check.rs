@@ -9,10 +9,10 @@ use glam::{DMat4, DVec3};
 use super::fields::{
     CameraFields, Either, Fields, ImageFields, LightName, LookAtFields, MatricesFields, ShadingFields,
 };
-use super::{AlgorithmChoice, InvalidField, Quality, RenderRequest, ShadingChoice, Spelling, Transfer};
+use super::{AlgorithmChoice, InvalidField, RenderRequest, ShadingChoice, Spelling, Transfer};
 use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
-use crate::render::{Background, Camera, Light, LookAt, Orbit, Projection, Shading};
+use crate::render::{Background, Camera, Light, LookAt, Orbit, Projection, Quality, Shading};
 
 /// Degrees: beyond, a float's steps show as jumps of the camera.
 const ANGLE: RangeInclusive<f64> = -1e6..=1e6;

@@ -6,9 +6,9 @@ use std::marker::PhantomData;
 use serde::de::value::{BoolDeserializer, MapAccessDeserializer, StrDeserializer};
 use serde::de::{self, Deserialize, Deserializer, IgnoredAny, MapAccess, Visitor};
 
-use super::{AlgorithmChoice, InvalidField, Quality};
+use super::{AlgorithmChoice, InvalidField};
 use crate::classify::TransferFunction;
-use crate::render::Projection;
+use crate::render::{Projection, Quality};
 
 #[derive(Default, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]

@@ -1,22 +1,14 @@
 //! [`RenderRequest`] + volume -> what the renderer takes, with every default filled in.
 
-use super::{AlgorithmChoice, InvalidField, Quality, RenderRequest, RequestError, ShadingChoice, Transfer};
-use crate::classify::TransferFunction;
+use super::{AlgorithmChoice, InvalidField, RenderRequest, RequestError, ShadingChoice, Transfer};
 use crate::classify::presets::{self, FittedPresets};
+use crate::classify::{Purpose, TransferFunction};
 use crate::encode::Format;
-use crate::render::{self, Algorithm, Projection, RenderError, Settings, Shading, View};
+use crate::render::{self, Algorithm, Blend, Projection, Quality, RenderError, Settings, Shading, View};
 use crate::volume::Volume;
 
-/// Accumulated opacity at which a pixel is done: what is left of the light would change an 8-bit
-/// channel by up to 5 (draft), 3 (standard), or nothing (reference).
-const TERMINATION_DRAFT: f64 = 0.98;
-const TERMINATION_STANDARD: f64 = 0.99;
-const TERMINATION_REFERENCE: f64 = 0.9999;
 /// Half of what shows in one voxel on an 8-bit display.
 const MIN_OPACITY: f64 = 0.002;
-/// In smallest spacings: two samples per voxel, as sampling theory asks for.
-const SAMPLE_DISTANCE: f64 = 0.5;
-const SAMPLE_DISTANCE_HIGH: f64 = 0.125;
 
 /// How large an image may be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,7 +28,6 @@ pub struct ResolvedRequest {
     pub transfer: TransferFunction,
     /// Voxels at or below it count as transparent (for [`Algorithm::Classified`]).
     pub min_opacity: f64,
-    pub quality: Quality,
     /// `None`: the request leaves it open.
     pub format: Option<Format>,
 }
@@ -82,21 +73,17 @@ impl RenderRequest {
             ShadingChoice::Off => None,
             ShadingChoice::On(shading) => Some(shading.clone()),
         };
+        let defaults = Settings::new(algorithm, self.quality);
         let settings = Settings {
-            algorithm,
             background: self.background,
             shading,
-            early_ray_termination: self.early_ray_termination.unwrap_or_else(|| termination(algorithm, self.quality))
-                as f32,
-            sample_distance: self.sample_distance.unwrap_or(match self.quality {
-                Quality::Draft | Quality::Standard => SAMPLE_DISTANCE,
-                Quality::High => SAMPLE_DISTANCE_HIGH,
-            }),
-            skipping: true,
+            early_ray_termination: self.early_ray_termination.map_or(defaults.early_ray_termination, |t| t as f32),
+            sample_distance: self.sample_distance.unwrap_or(defaults.sample_distance),
+            ..defaults
         };
         render::check(volume, &view, &settings).map_err(refused)?;
         let min_opacity = self.min_opacity.unwrap_or(MIN_OPACITY);
-        Ok(ResolvedRequest { view, settings, transfer, min_opacity, quality: self.quality, format: self.format })
+        Ok(ResolvedRequest { view, settings, transfer, min_opacity, format: self.format })
     }
 
     fn keep_to(&self, limits: &ImageLimits) -> Result<(), RequestError> {
@@ -146,13 +133,24 @@ impl RenderRequest {
 }
 
 impl ResolvedRequest {
+    /// What the frame needs classified; `None`: nothing.
+    pub fn purpose(&self) -> Option<Purpose> {
+        match (self.settings.algorithm, self.settings.blend) {
+            (_, Blend::Projection(..)) | (Algorithm::Raycast, _) => None,
+            (Algorithm::Classified | Algorithm::FastClassification, _) => {
+                Some(Purpose::Voxels { min_opacity: self.min_opacity })
+            }
+            (Algorithm::Preintegrated, _) => Some(Purpose::Slabs { entries: self.settings.preintegration.entries }),
+        }
+    }
+
     /// All that the pixels depend on besides the volume, as text: the same for requests that mean the
     /// same, however they were written. The format is left out, being known only after negotiation.
     pub fn canonical(&self) -> String {
-        let Settings { algorithm, background, shading, early_ray_termination, sample_distance, skipping: _ } =
-            &self.settings;
+        let Settings { algorithm, background, shading, early_ray_termination, sample_distance, .. } = &self.settings;
         let option = match algorithm {
-            Algorithm::Classified => format!("min_opacity {:?}", self.min_opacity),
+            Algorithm::Classified | Algorithm::FastClassification => format!("min_opacity {:?}", self.min_opacity),
+            Algorithm::Preintegrated => format!("{:?}", self.settings.preintegration),
             Algorithm::Raycast => format!("sample_distance {sample_distance:?}"),
         };
         // Debug writes floats with as many digits as tell them apart.
@@ -162,14 +160,6 @@ impl ResolvedRequest {
             algorithm.name(),
             self.transfer
         )
-    }
-}
-
-fn termination(algorithm: Algorithm, quality: Quality) -> f64 {
-    match (algorithm, quality) {
-        (Algorithm::Raycast, _) | (_, Quality::High) => TERMINATION_REFERENCE,
-        (_, Quality::Draft) => TERMINATION_DRAFT,
-        (_, Quality::Standard) => TERMINATION_STANDARD,
     }
 }
 
