@@ -7,6 +7,7 @@ pub mod intermediate;
 pub mod material;
 pub mod shade;
 mod shear_warp;
+pub mod simd;
 pub mod view;
 pub mod warp;
 
