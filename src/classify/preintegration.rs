@@ -199,3 +199,44 @@ impl SlabTable {
         near + (far - near) * wf
     }
 }
+
+/// A way to read slabs.
+pub trait Slabs: Copy + Send + Sync {
+    /// Position of a (fractional) code on the axis of the table.
+    fn coordinate(self, code: f32) -> f32;
+
+    /// The slab between two positions.
+    fn slab(self, front: f32, back: f32) -> Vec4;
+}
+
+/// The nearest entry.
+#[derive(Clone, Copy, Debug)]
+pub struct Nearest<'a>(pub &'a SlabTable);
+
+impl Slabs for Nearest<'_> {
+    #[inline(always)]
+    fn coordinate(self, code: f32) -> f32 {
+        self.0.axis.coordinate(code)
+    }
+
+    #[inline(always)]
+    fn slab(self, front: f32, back: f32) -> Vec4 {
+        self.0.nearest(front, back)
+    }
+}
+
+/// Between four entries.
+#[derive(Clone, Copy, Debug)]
+pub struct Bilinear<'a>(pub &'a SlabTable);
+
+impl Slabs for Bilinear<'_> {
+    #[inline(always)]
+    fn coordinate(self, code: f32) -> f32 {
+        self.0.axis.coordinate(code)
+    }
+
+    #[inline(always)]
+    fn slab(self, front: f32, back: f32) -> Vec4 {
+        self.0.bilinear(front, back)
+    }
+}

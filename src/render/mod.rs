@@ -4,8 +4,10 @@ pub mod composite;
 pub mod factorization;
 mod image;
 pub mod intermediate;
+pub mod lighting;
 pub mod material;
 pub mod shade;
+mod shear_image;
 mod shear_warp;
 pub mod simd;
 pub mod view;
@@ -327,13 +329,32 @@ pub struct Scene<'a> {
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    match settings.algorithm {
-        Algorithm::Raycast => Ok(()),
-        Algorithm::Classified => Factorization::new(view, volume).map(|_| ()),
-        Algorithm::FastClassification | Algorithm::Preintegrated => Err(RenderError::Unsupported {
-            pointer: "/algorithm",
-            detail: format!("{} is not supported by this version", settings.algorithm.name()),
-        }),
+    match settings.way() {
+        Way::ImageOrder | Way::ShearImage => Ok(()),
+        Way::ShearWarp => match settings.algorithm {
+            Algorithm::FastClassification | Algorithm::Preintegrated => Err(RenderError::Unsupported {
+                pointer: "/algorithm",
+                detail: format!("{} is not supported by this version", settings.algorithm.name()),
+            }),
+            _ => Factorization::new(view, volume).map(|_| ()),
+        },
+    }
+}
+
+/// Which renderer makes a frame.
+enum Way {
+    ImageOrder,
+    ShearImage,
+    ShearWarp,
+}
+
+impl Settings {
+    fn way(&self) -> Way {
+        match (self.algorithm, self.quality, self.blend) {
+            (Algorithm::Raycast, ..) => Way::ImageOrder,
+            (_, _, Blend::Projection(..)) | (Algorithm::Preintegrated, Quality::High, _) => Way::ShearImage,
+            _ => Way::ShearWarp,
+        }
     }
 }
 
@@ -348,9 +369,10 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match settings.algorithm {
-        Algorithm::Raycast => reference(scene, view, settings, cancel),
-        _ => shear_warp::frame(scene, view, settings, cancel),
+    match settings.way() {
+        Way::ImageOrder => reference(scene, view, settings, cancel),
+        Way::ShearImage => shear_image::frame(scene, view, settings, cancel),
+        Way::ShearWarp => shear_warp::frame(scene, view, settings, cancel),
     }
 }
 

@@ -69,6 +69,12 @@ impl MinMaxOctree {
         self.levels[0].dims
     }
 
+    /// The range of a leaf, `i` fastest.
+    #[inline(always)]
+    pub fn leaf(&self, index: usize) -> &Range {
+        &self.levels[0].ranges[index]
+    }
+
     /// The range of everything.
     pub fn root(&self) -> Range {
         self.levels[self.levels.len() - 1].ranges[0]

@@ -124,9 +124,9 @@ impl RenderRequest {
     fn algorithm(&self, view: &View) -> Algorithm {
         match self.algorithm {
             AlgorithmChoice::Classified => Algorithm::Classified,
-            AlgorithmChoice::Auto if self.quality != Quality::High && view.projection() == Projection::Parallel => {
-                Algorithm::Classified
-            }
+            AlgorithmChoice::Preintegrated => Algorithm::Preintegrated,
+            AlgorithmChoice::Auto if self.quality == Quality::High => Algorithm::Preintegrated,
+            AlgorithmChoice::Auto if view.projection() == Projection::Parallel => Algorithm::Classified,
             _ => Algorithm::Raycast,
         }
     }

@@ -1,0 +1,236 @@
+//! Emission and absorption along a packet: slabs between slices, pre-integrated.
+//!
+//! A slab's scalars are those of its front and back slice; the back ones are the next slab's front
+//! ones. Its light comes from the gradient in its middle, asked for only where the slab shows
+//! something. Slabs at the two ends of a ray are cut where it enters and leaves the volume: they are
+//! sampled there, and their opacity is that of the shorter length.
+
+use glam::{Mat3, Vec4};
+
+use super::packet::{LANES, Lanes, Packet};
+use super::sampler::Sampler;
+use super::skip::Skip;
+use super::{Frame, Pixels};
+use crate::classify::TransferFunction;
+use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
+use crate::render::lighting::Lighting;
+use crate::render::{DepthCueing, Image, Lookup, OpacityCorrection, RenderError, Scene, Timings};
+use crate::volume::gradient::{Code, GradientFrame};
+
+/// A frame of emission and absorption.
+pub(super) fn frame<T: Code>(
+    codes: &[T],
+    scene: &Scene<'_>,
+    frame: &Frame<'_>,
+) -> Result<(Image, Timings), RenderError> {
+    let settings = frame.settings;
+    let classification = scene.classification.expect("pre-integration needs a classification");
+    let tables = classification.slabs().expect("the classification is of slabs");
+    let volume = scene.prepared.volume();
+    let dims = volume.dims();
+
+    // A table of slabs as long as the view's. Where lengths differ from ray to ray, or extinction
+    // with the gradient, it is of optical depths, to be scaled.
+    let options = settings.preintegration;
+    let steps = options.samples_per_voxel;
+    let (view_length, slice_distance) = frame.rays.lengths(volume);
+    let (slice_length, same_length) = match options.opacity_correction {
+        OpacityCorrection::View => (view_length, frame.rays.is_parallel()),
+        OpacityCorrection::Lookup => (slice_distance, false),
+        OpacityCorrection::Off => (slice_distance, true),
+    };
+    let gradient_opacity = Some(scene.transfer).filter(|transfer| !transfer.gradient_opacity.is_empty());
+    let scaled = gradient_opacity.is_some() || !same_length;
+    let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
+    let table = tables.table(form, (slice_length / steps as f64) as f32);
+
+    let gradient_frame = GradientFrame::new(volume.placement(), volume.rescale().0);
+    let lighting = settings.shading.as_ref().map(Lighting::new);
+    let walk = Walk {
+        sampler: Sampler::new(codes, dims),
+        skip: if settings.skipping { Skip::new(dims, classification, scene.encodings) } else { Skip::nothing(dims) },
+        steps,
+        per_length: if same_length { None } else { Some(1.0 / slice_length as f32) },
+        gradient: (gradient_frame.world_from_frame * gradient_frame.frame_from_differences).as_mat3(),
+        gradient_opacity,
+        lighting: lighting.as_ref(),
+        depth_cueing: settings.depth_cueing,
+        opaque: settings.early_ray_termination,
+    };
+    match options.lookup {
+        Lookup::Nearest => walk.render(frame, Nearest(&table), scaled),
+        Lookup::Bilinear => walk.render(frame, Bilinear(&table), scaled),
+    }
+}
+
+/// How packets walk, whatever the type parameters.
+struct Walk<'a, T> {
+    sampler: Sampler<'a, T>,
+    skip: Skip<'a>,
+    /// Slabs from a slice of voxels to the next.
+    steps: usize,
+    /// One over the length that the table's slabs have from slice to slice, where rays differ; 1 / mm.
+    per_length: Option<f32>,
+    /// World gradient from differences of codes.
+    gradient: Mat3,
+    gradient_opacity: Option<&'a TransferFunction>,
+    lighting: Option<&'a Lighting>,
+    depth_cueing: Option<DepthCueing>,
+    /// Accumulated opacity at which a pixel is done.
+    opaque: f32,
+}
+
+impl<T: Code> Walk<'_, T> {
+    /// Chooses the kernel's type parameters.
+    fn render<S: Slabs>(&self, frame: &Frame<'_>, table: S, scaled: bool) -> Result<(Image, Timings), RenderError> {
+        match (self.lighting.is_some(), scaled) {
+            (false, false) => frame.render(&Composite::<T, S, false, false> { walk: self, table }),
+            (false, true) => frame.render(&Composite::<T, S, false, true> { walk: self, table }),
+            (true, false) => frame.render(&Composite::<T, S, true, false> { walk: self, table }),
+            (true, true) => frame.render(&Composite::<T, S, true, true> { walk: self, table }),
+        }
+    }
+}
+
+/// The kernel. `SCALED`: the table holds optical depths.
+struct Composite<'a, T, S, const LIT: bool, const SCALED: bool> {
+    walk: &'a Walk<'a, T>,
+    table: S,
+}
+
+/// What a packet has come to.
+struct State {
+    pixels: [Vec4; LANES],
+    /// Lanes that are neither opaque nor outside of the volume, a bit each.
+    open: u32,
+    /// Positions between which all lanes are inside the volume.
+    inside: (f32, f32),
+    /// Lengths of rays in units of the table's.
+    ratio: Lanes,
+}
+
+impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composite<'_, T, S, LIT, SCALED> {
+    #[inline(always)]
+    fn pixels(&self, packet: &Packet) -> [Vec4; LANES] {
+        let Walk { sampler, skip, steps, .. } = self.walk;
+        let open = packet.hits();
+        let per_length = self.walk.per_length;
+        let ratio = per_length.map_or([1.0; LANES], |per_length| packet.length.map(|length| length * per_length));
+        let mut state = State { pixels: [Vec4::ZERO; LANES], open, inside: packet.inside(open), ratio };
+        let (enter, leave) = packet.span();
+        let end = (leave.ceil() as usize).min(sampler.dims()[packet.axis] - 1);
+        let step = 1.0 / *steps as f32;
+        let mut front = [0.0; LANES];
+        let (mut layer, mut reached) = (enter.floor() as usize, usize::MAX);
+        while state.open != 0 {
+            layer = skip.next_layer(packet, layer, end);
+            if layer >= end {
+                break;
+            }
+            if layer != reached {
+                front = self.coordinates(sampler.on_slice(packet, layer));
+            }
+            for n in 1..=*steps {
+                let back = self.coordinates(if n == *steps {
+                    sampler.on_slice(packet, layer + 1)
+                } else {
+                    sampler.between(packet, layer, n as f32 * step)
+                });
+                let from = layer as f32 + (n - 1) as f32 * step;
+                self.slabs(packet, &mut state, [from, layer as f32 + n as f32 * step], &front, &back);
+                front = back;
+            }
+            layer += 1;
+            reached = layer;
+        }
+        state.pixels
+    }
+}
+
+impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S, LIT, SCALED> {
+    #[inline(always)]
+    fn coordinates(&self, codes: Lanes) -> Lanes {
+        codes.map(|code| self.table.coordinate(code))
+    }
+
+    /// The slabs of all lanes between two slice positions.
+    #[inline(always)]
+    fn slabs(&self, packet: &Packet, state: &mut State, [from, to]: [f32; 2], front: &Lanes, back: &Lanes) {
+        if from < state.inside.0 || to > state.inside.1 {
+            self.ends(packet, state, [from, to], front, back);
+            return;
+        }
+        for lane in 0..LANES {
+            if state.open >> lane & 1 == 1 {
+                let slab = self.table.slab(front[lane], back[lane]);
+                if slab.w > 0.0 {
+                    self.blend(packet, state, lane, 0.5 * (from + to), slab, 1.0);
+                }
+            }
+        }
+    }
+
+    /// Slabs some of which are cut by an end of their ray.
+    #[inline(never)]
+    fn ends(&self, packet: &Packet, state: &mut State, [from, to]: [f32; 2], front: &Lanes, back: &Lanes) {
+        let open = state.open;
+        for lane in (0..LANES).filter(|lane| open >> lane & 1 == 1) {
+            let (enter, leave) = (packet.enter[lane].max(from), packet.leave[lane].min(to));
+            if enter >= leave {
+                continue;
+            }
+            let coordinate = |t: f32, whole: f32, on_slice: f32| {
+                if t == whole {
+                    on_slice
+                } else {
+                    let sampler = &self.walk.sampler;
+                    self.table.coordinate(sampler.scalar(sampler.position(packet, lane, t)))
+                }
+            };
+            let slab = self.table.slab(coordinate(enter, from, front[lane]), coordinate(leave, to, back[lane]));
+            if slab.w > 0.0 {
+                self.blend(packet, state, lane, 0.5 * (enter + leave), slab, (leave - enter) / (to - from));
+            }
+        }
+    }
+
+    /// Puts a slab around slice position `t` behind a lane's pixel; `share` is its length in the table's.
+    #[inline(always)]
+    fn blend(&self, packet: &Packet, state: &mut State, lane: usize, t: f32, slab: Vec4, share: f32) {
+        let mut gradient = glam::Vec3::ZERO;
+        if LIT || (SCALED && self.walk.gradient_opacity.is_some()) {
+            let sampler = &self.walk.sampler;
+            gradient = self.walk.gradient * sampler.differences(sampler.position(packet, lane, t));
+        }
+        let mut sample = slab;
+        if SCALED {
+            let mut scale = state.ratio[lane] * share;
+            if let Some(transfer) = self.walk.gradient_opacity {
+                scale *= transfer.gradient_factor(f64::from(gradient.length())) as f32;
+            }
+            let opacity = opacity(slab.w * scale);
+            sample = (slab * (opacity / slab.w)).with_w(opacity);
+        } else if share != 1.0 {
+            let opacity = 1.0 - (1.0 - slab.w).powf(share);
+            sample = (slab * (opacity / slab.w)).with_w(opacity);
+        }
+        let opacity = sample.w;
+        if LIT && let Some(lighting) = self.walk.lighting {
+            let [factor, addend] = lighting.shade(gradient, packet.to_eye[lane]);
+            sample = (sample * factor + Vec4::splat(addend * opacity)).min(Vec4::splat(opacity));
+        }
+        if let Some(DepthCueing { front, density }) = self.walk.depth_cueing {
+            let depth = packet.depth[0][lane] + t * packet.depth[1][lane];
+            sample *= front as f32 * (-(density as f32) * depth).exp();
+        }
+        let pixel = &mut state.pixels[lane];
+        *pixel += sample.with_w(opacity) * (1.0 - pixel.w);
+        state.open &= !(u32::from(pixel.w >= self.walk.opaque) << lane);
+    }
+}
+
+/// Opacity of an optical depth.
+#[inline(always)]
+fn opacity(depth: f32) -> f32 {
+    1.0 - (-depth).exp()
+}

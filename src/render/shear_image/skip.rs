@@ -1,0 +1,116 @@
+//! What a packet need not look at: layers of cells in which nothing shows.
+//!
+//! A layer lies between two slices. The cells that eight rays touch within it are a rectangle of a
+//! few; whether any of them shows something is a few bits of the runs of cells, or, as long as there
+//! are none, a few flags of the octree's leaves. A leaf is [`LEAF`] layers deep, so where leaves are
+//! transparent throughout, the packet goes on at the next leaf.
+
+use super::packet::{IN_SLICE, Packet};
+use crate::classify::cells::{AxisCells, WORD};
+use crate::classify::{Classification, Encodings};
+use crate::volume::octree::{LEAF, leaf_of, leaves_along};
+
+/// Where something may show.
+#[derive(Clone, Copy, Debug)]
+pub struct Skip<'a> {
+    dims: [usize; 3],
+    /// Flags of leaves; `None`: nothing is skipped.
+    leaves: Option<&'a [bool]>,
+    cells: Option<[AxisCells<'a>; 3]>,
+}
+
+impl<'a> Skip<'a> {
+    /// By leaves and, where they are there, by runs of cells of a volume of `dims` voxels.
+    pub fn new(dims: [usize; 3], classification: &'a Classification, encodings: Option<&'a Encodings>) -> Self {
+        let cells = encodings.and_then(Encodings::cells).map(|cells| [0, 1, 2].map(|axis| cells.for_axis(axis)));
+        Self { dims, leaves: Some(classification.occupied()), cells }
+    }
+
+    /// Nothing is skipped.
+    pub fn nothing(dims: [usize; 3]) -> Self {
+        Self { dims, leaves: None, cells: None }
+    }
+
+    /// The first layer from `layer` on (and before `end`) in which something may show.
+    #[inline(always)]
+    pub fn next_layer(&self, packet: &Packet, mut layer: usize, end: usize) -> usize {
+        let Some(leaves) = self.leaves else { return layer };
+        while layer < end {
+            let leaf_end = self.leaf_end(packet, layer).min(end);
+            if !self.any_leaf(packet, layer, leaf_end, |leaf| leaves[leaf]) {
+                layer = leaf_end;
+                continue;
+            }
+            let Some(cells) = &self.cells else { return layer };
+            while layer < leaf_end {
+                if self.layer_shows(&cells[packet.axis], packet, layer) {
+                    return layer;
+                }
+                layer += 1;
+            }
+        }
+        end
+    }
+
+    /// The layer of the volume's own order.
+    #[inline(always)]
+    fn stored(&self, packet: &Packet, layer: usize) -> usize {
+        if packet.reversed { self.dims[packet.axis] - 2 - layer } else { layer }
+    }
+
+    /// Where the leaf that `layer` is in ends, in the order of travel.
+    #[inline(always)]
+    pub fn leaf_end(&self, packet: &Packet, layer: usize) -> usize {
+        let n = self.dims[packet.axis];
+        let stored = self.stored(packet, layer);
+        let leaf = leaf_of(stored, n);
+        if packet.reversed {
+            layer + (stored - leaf * LEAF) + 1
+        } else if leaf + 1 == leaves_along(n) {
+            n - 1
+        } else {
+            (leaf + 1) * LEAF
+        }
+    }
+
+    /// Asks of the leaves that the packet touches from `layer` to `end`, which are within one, until one
+    /// answers yes.
+    #[inline(always)]
+    pub fn any_leaf(&self, packet: &Packet, layer: usize, end: usize, ask: impl Fn(usize) -> bool) -> bool {
+        let [i, j] = IN_SLICE[packet.axis];
+        let span = [layer as f32, end as f32];
+        let leaf_range = |n: usize, axis: usize| {
+            packet.bounds(n, span, self.dims[axis] - 1).map(|cell| leaf_of(cell, self.dims[axis]))
+        };
+        let (along_i, along_j) = (leaf_range(0, i), leaf_range(1, j));
+        let counts = self.dims.map(leaves_along);
+        let strides = [1, counts[0], counts[0] * counts[1]];
+        let slice = leaf_of(self.stored(packet, layer), self.dims[packet.axis]) * strides[packet.axis];
+        (along_j[0]..=along_j[1]).any(|leaf_j| {
+            (along_i[0]..=along_i[1]).any(|leaf_i| ask(slice + leaf_i * strides[i] + leaf_j * strides[j]))
+        })
+    }
+
+    /// True where a cell that the packet touches in `layer` is marked.
+    #[inline(always)]
+    fn layer_shows(&self, cells: &AxisCells<'_>, packet: &Packet, layer: usize) -> bool {
+        let [i, j] = IN_SLICE[packet.axis];
+        let span = [layer as f32, (layer + 1) as f32];
+        let [first, last] = packet.bounds(0, span, self.dims[i] - 1);
+        let [top, bottom] = packet.bounds(1, span, self.dims[j] - 1);
+        let k = self.stored(packet, layer);
+        let (first_word, last_word) = (first / WORD, last / WORD);
+        let from = u64::MAX << (first % WORD);
+        let to = u64::MAX >> (WORD - 1 - last % WORD);
+        (top..=bottom).any(|row| {
+            let words = cells.scanline(row, k);
+            if first_word == last_word {
+                words[first_word] & from & to != 0
+            } else {
+                words[first_word] & from != 0
+                    || words[last_word] & to != 0
+                    || words[first_word + 1..last_word].iter().any(|&word| word != 0)
+            }
+        })
+    }
+}
