@@ -6,3 +6,4 @@ mod golden;
 mod invariance;
 mod layering;
 mod scenes;
+mod shear_image;
