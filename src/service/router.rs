@@ -19,6 +19,7 @@ pub(super) fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/v1/volumes", get(volumes::list)),
         ("/v1/volumes/{id}", get(volumes::one)),
         ("/v1/volumes/{id}/histogram", get(volumes::histogram)),
+        ("/v1/volumes/{id}/transfer-function", get(volumes::transfer_function)),
         ("/v1/volumes/{id}/frame", post(frames::from_body)),
         ("/v1/volumes/{id}/frame.png", get(|a, b, c, d| frames::from_query(Format::Png, a, b, c, d))),
         ("/v1/volumes/{id}/frame.jpg", get(|a, b, c, d| frames::from_query(Format::Jpeg, a, b, c, d))),

@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::App;
 use super::error::Problem;
 use super::store::{Entry, LoadedVolume, Status};
+use crate::classify::TransferFunction;
 
 /// Bins of a histogram at most: one per code of a 12-bit scan.
 const MAX_BINS: usize = 4096;
@@ -70,6 +71,15 @@ pub struct HistogramBody {
     counts: Vec<u64>,
 }
 
+/// A transfer function as frames of one volume have it.
+#[derive(Serialize)]
+pub struct FittedBody {
+    /// A preset's name, or `automatic`.
+    preset: String,
+    shading: bool,
+    transfer_function: TransferFunction,
+}
+
 /// `GET /v1/volumes`
 pub async fn list(State(app): State<Arc<App>>) -> Json<VolumeList> {
     Json(VolumeList { volumes: app.store.entries().map(|entry| VolumeBody::of(entry)).collect() })
@@ -93,6 +103,43 @@ pub async fn histogram(
     let bins = read_bins(query.as_deref().unwrap_or_default())?;
     let counted = volume.histogram.bins(volume.volume(), bins);
     Ok(Json(HistogramBody { bins, min: counted.min, max: counted.max, counts: counted.counts }))
+}
+
+/// `GET /v1/volumes/{id}/transfer-function`: what a preset's name, or none, stands for on this
+/// volume, so that a client can start from it.
+pub async fn transfer_function(
+    State(app): State<Arc<App>>,
+    id: Result<Path<String>, PathRejection>,
+    RawQuery(query): RawQuery,
+) -> Result<Json<FittedBody>, Problem> {
+    let volume = app.store.loaded(&id?)?;
+    let (preset, shading, fitted) = match read_preset(query.as_deref().unwrap_or_default())? {
+        None => {
+            let default = &volume.presets.default;
+            (default.name, default.shading, &default.transfer)
+        }
+        Some(name) => {
+            let unknown =
+                || Problem::refused("/preset", format!("unknown preset {name:?}; GET /v1/presets lists them"));
+            let (preset, fitted) = volume.presets.get(&name).ok_or_else(unknown)?;
+            (preset.name.as_str(), preset.shading, fitted)
+        }
+    };
+    let mut transfer_function = fitted.clone();
+    let reference = fitted.reference_length(volume.volume().smallest_spacing());
+    transfer_function.opacity_distance = Some(reference);
+    Ok(Json(FittedBody { preset: preset.into(), shading, transfer_function }))
+}
+
+fn read_preset(query: &str) -> Result<Option<String>, Problem> {
+    let mut preset = None;
+    for (name, text) in form_urlencoded::parse(query.as_bytes()) {
+        if name != "preset" || preset.is_some() {
+            return Err(Problem::refused(format!("/{name}"), "expected at most one parameter, preset"));
+        }
+        preset = Some(text.into_owned());
+    }
+    Ok(preset)
 }
 
 fn read_bins(query: &str) -> Result<usize, Problem> {

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use serde_json::json;
+use serde_json::{Value, json};
 use shearwarp::classify::presets;
 
 use crate::service::{Running, header, problem, write_ball};
@@ -35,6 +35,34 @@ async fn the_histogram_counts_every_voxel_once() {
     assert_eq!(counts[1..3], [0, 0]);
     let refused = problem(service.get("/v1/volumes/ball/histogram?bins=5000").await).await;
     assert_eq!(refused["errors"][0]["pointer"], "/bins");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_transfer_function_that_was_asked_for_renders_what_its_name_renders() {
+    let service = Running::start("").await;
+    let frame = async |request: Value| {
+        let response = service.post("/v1/volumes/ball/frame", &request.to_string()).await;
+        assert_eq!(response.status(), 200, "{request}");
+        response.bytes().await.unwrap()
+    };
+    let image = json!({"width": 32, "height": 32, "format": "raw"});
+    for (query, mut named) in [
+        ("", json!({})),
+        ("?preset=gray-ramp", json!({"transfer_function": "gray-ramp"})),
+        ("?preset=mr-angio", json!({"transfer_function": "mr-angio"})),
+    ] {
+        let fitted = service.json(&format!("/v1/volumes/ball/transfer-function{query}")).await;
+        named["image"] = image.clone();
+        let given = json!({
+            "image": image, "transfer_function": fitted["transfer_function"], "shading": fitted["shading"],
+        });
+        assert_eq!(frame(given).await, frame(named).await, "{query}");
+    }
+    for (query, pointer) in [("?preset=none", "/preset"), ("?bins=3", "/bins"), ("?preset=ct-bone&preset=x", "/preset")]
+    {
+        let refused = service.get(&format!("/v1/volumes/ball/transfer-function{query}")).await;
+        assert_eq!(problem(refused).await["errors"][0]["pointer"], pointer, "{query}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,0 +1,43 @@
+/**
+ * @file For work on the viewer: web/ as it is on disk, everything else from a running service.
+ *
+ *     target/release/shearwarp serve --listen 127.0.0.1:8081
+ *     node tests/viewer/serve.js http://127.0.0.1:8081 8080
+ *
+ * The service has the files built in, and nothing in it can read them from elsewhere; so a change would cost a build.
+ */
+import { readFile } from 'node:fs/promises';
+import http from 'node:http';
+import { extname } from 'node:path';
+import { fileURLToPath } from 'node:url';
+
+const WEB = fileURLToPath(new URL('../../web', import.meta.url));
+/** @type {Record<string, string>} */
+const TYPES = { '.html': 'text/html; charset=utf-8', '.css': 'text/css', '.js': 'text/javascript', '.svg': 'image/svg+xml' };
+const POLICY = "default-src 'self'; img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'; object-src 'none'";
+
+const [service, port = '8080'] = process.argv.slice(2);
+if (!service) {
+  console.error('usage: node serve.js SERVICE [PORT]');
+  process.exit(2);
+}
+
+http.createServer(async (request, response) => {
+  const path = new URL(request.url ?? '/', 'http://localhost').pathname;
+  const name = path === '/' ? '/index.html' : path;
+  const file = TYPES[extname(name)] && !name.includes('..') ? await readFile(WEB + name).catch(() => null) : null;
+  if (file) {
+    response.writeHead(200, { 'Content-Type': TYPES[extname(name)], 'Content-Security-Policy': POLICY, 'Cache-Control': 'no-store' });
+    response.end(file);
+    return;
+  }
+  const { method, headers } = request;
+  const forwarded = http.request(new URL(request.url ?? '/', service), { method, headers }, (answer) => {
+    response.writeHead(answer.statusCode ?? 502, answer.headers);
+    answer.pipe(response);
+  });
+  forwarded.on('error', () => response.writeHead(502).end());
+  // A viewer that gives a frame up ends the service's work on it.
+  response.on('close', () => forwarded.destroy());
+  request.pipe(forwarded);
+}).listen(Number(port), '127.0.0.1', () => console.log(`listening on http://127.0.0.1:${port}`));

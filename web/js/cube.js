@@ -1,0 +1,53 @@
+/**
+ * @file The orientation cube: how the patient lies in the picture, and a way to turn there.
+ *
+ * Faces are flat polygons, put in place by an affine map from the camera's axes; letters lie on them. For
+ * keyboards and screen readers there are six plain buttons beside it, so the cube itself is hidden from them.
+ */
+import { el, svg } from './dom.js';
+import { ANATOMICAL, axes } from './camera.js';
+import { dot } from './vector.js';
+
+/** @typedef {import('./vector.js').Vector} Vector */
+/** @typedef {keyof typeof ANATOMICAL} Name */
+
+/** Outward direction, and the directions in which a face's letter runs and stands. @type {[Name, Vector, Vector, Vector][]} */
+const FACES = [
+  ['A', [0, -1, 0], [1, 0, 0], [0, 0, 1]],
+  ['P', [0, 1, 0], [-1, 0, 0], [0, 0, 1]],
+  ['L', [1, 0, 0], [0, 1, 0], [0, 0, 1]],
+  ['R', [-1, 0, 0], [0, -1, 0], [0, 0, 1]],
+  ['S', [0, 0, 1], [1, 0, 0], [0, 1, 0]],
+  ['I', [0, 0, -1], [1, 0, 0], [0, -1, 0]],
+];
+const HALF = 21;
+
+export class Cube {
+  /** @param {import('./state.js').Store} store @param {(name: Name) => void} lookFrom */
+  constructor(store, lookFrom) {
+    this.store = store;
+    this.faces = FACES.map(([name]) => svg('g', { class: `face face-${name}`, onclick: () => lookFrom(name) },
+      svg('title', {}, ANATOMICAL[name].name),
+      svg('rect', { x: -HALF, y: -HALF, width: 2 * HALF, height: 2 * HALF }),
+      svg('text', { 'text-anchor': 'middle', y: 9 }, name)));
+    const cube = svg('svg', { class: 'cube', viewBox: '-40 -40 80 80', width: 80, height: 80, 'aria-hidden': 'true' }, ...this.faces);
+    const buttons = Object.entries(ANATOMICAL).map(([name, { name: full }]) =>
+      el('button', { type: 'button', title: `${full} (${name})`, 'aria-label': `Look from ${full.toLowerCase()}`, onclick: () => lookFrom(/** @type {Name} */ (name)) }, name));
+    this.element = el('div', { class: 'orientation' }, cube, el('div', { class: 'sides', role: 'group', 'aria-label': 'Anatomical views' }, ...buttons));
+    store.subscribe((state, before) => state.camera !== before.camera && this.draw());
+    this.draw();
+  }
+
+  draw() {
+    const { right, up, back } = axes(this.store.state.camera);
+    FACES.forEach(([, out, along, upward], i) => {
+      const seen = dot(out, back);
+      const face = this.faces[i];
+      face.toggleAttribute('hidden', seen < 0.02);
+      const centre = [dot(out, right) * HALF, -dot(out, up) * HALF];
+      const map = [dot(along, right), -dot(along, up), -dot(upward, right), dot(upward, up), ...centre];
+      face.setAttribute('transform', `matrix(${map.map((n) => n.toFixed(4)).join(' ')})`);
+      face.setAttribute('fill-opacity', (0.55 + 0.4 * Math.max(0, seen)).toFixed(2));
+    });
+  }
+}

@@ -1,0 +1,176 @@
+/**
+ * @file The viewer's parts, made and joined. Everything else happens through the store.
+ */
+import { Problem, frame, histogram, listPresets, listVolumes } from './api.js';
+import { ANATOMICAL, between, boundingSphere, described } from './camera.js';
+import { Cube } from './cube.js';
+import { byId } from './dom.js';
+import { Frames } from './frames.js';
+import { Input } from './input.js';
+import { LightPanel } from './light-panel.js';
+import { fromHash, toHash } from './link.js';
+import { Look } from './look.js';
+import { LookPanel } from './look-panel.js';
+import { Messages } from './messages.js';
+import { tabs, themes, tools } from './page.js';
+import { PresetList } from './presets.js';
+import { renderRequest } from './request.js';
+import { ScanPanel } from './scan-panel.js';
+import { Share } from './share.js';
+import { DEFAULT_CAMERA, Store } from './state.js';
+import { Thumbnails } from './thumbnails.js';
+import { Timings } from './timings.js';
+import { TransferEditor } from './transfer-editor.js';
+import { View } from './view.js';
+import { ViewPanel } from './view-panel.js';
+
+/** @typedef {import('./api.js').Volume} Volume */
+/** @typedef {import('./api.js').ReadyVolume} ReadyVolume */
+
+/** Milliseconds from the last change until the address has it. */
+const LINK_PAUSE = 250;
+/** Milliseconds of a turn to an anatomical view. */
+const TURN = 260;
+/** Milliseconds between looks at scans that are being loaded. */
+const LOADING_PAUSE = 1500;
+
+/** @type {Volume[]} */
+let volumes = [];
+const store = new Store(fromHash(location.hash));
+
+/** The scan that the state names. @returns {ReadyVolume | null} */
+function volume() {
+  const named = volumes.find(({ id, status }) => id === store.state.volume && status === 'ready');
+  return /** @type {ReadyVolume | undefined} */ (named) ?? null;
+}
+
+const sphere = () => {
+  const ready = volume();
+  return ready && boundingSphere(ready);
+};
+
+const view = new View(/** @type {HTMLCanvasElement} */ (byId('picture')), store, sphere);
+const frames = new Frames(() => store.state, () => view.size(), (state, size, stage, signal) =>
+  frame(state.volume, renderRequest(state, size, stage), signal));
+const messages = new Messages(byId('messages'), byId('spoken'), () => (volumes.length ? frames.retry() : void load()));
+const thumbnails = new Thumbnails(() => frames.idle);
+const look = new Look(store, volume);
+const editor = new TransferEditor(look);
+const presets = new PresetList(store, thumbnails);
+const timings = new Timings();
+const input = new Input(byId('view'), store, sphere, look, lookFrom);
+const scans = new ScanPanel(store, thumbnails, open);
+const share = new Share(store, () => view.size(), messages, /** @type {HTMLDialogElement} */ (byId('dialog')));
+
+frames.onFrame.push((shown) => view.show(shown), (shown) => timings.add(shown), ({ stage }) => (byId('view').dataset.stage = stage));
+frames.onProblem = (/** @type {Problem | null} */ problem) => messages.show(problem);
+frames.onRefining = (/** @type {boolean} */ busy) => byId('view').classList.toggle('refining', busy);
+view.onResize = () => frames.changed(false);
+
+byId('overlay').append(new Cube(store, lookFrom).element, timings.element);
+const openTab = tabs(byId('tabs'), byId('panels'), [
+  { name: 'scan', label: 'Scan', content: scans.element },
+  { name: 'look', label: 'Look', content: new LookPanel(store, look, editor, presets.element).element },
+  { name: 'light', label: 'Light', content: new LightPanel(store, look).element },
+  { name: 'view', label: 'View', content: new ViewPanel(store, input).element },
+], () => thumbnails.wake());
+themes(byId('theme'));
+tools((tool) => (input.tool = tool));
+byId('copy-link').addEventListener('click', () => share.copyLink());
+byId('copy-curl').addEventListener('click', () => share.copyCurl());
+byId('save').addEventListener('click', () => share.savePicture());
+byId('help').addEventListener('click', () => share.help());
+byId('scan-name').addEventListener('click', () => openTab('scan'));
+document.addEventListener('keydown', (event) => {
+  if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== 'z' || event.target instanceof HTMLTextAreaElement) return;
+  event.preventDefault();
+  if (event.shiftKey) look.redo();
+  else look.undo();
+});
+
+let linking = 0;
+let written = '';
+store.subscribe((state, before, moving) => {
+  if (state.volume !== before.volume) frames.dropAll();
+  frames.changed(moving);
+  clearTimeout(linking);
+  linking = setTimeout(() => {
+    written = toHash(state);
+    history.replaceState(null, '', written);
+    byId('view').setAttribute('aria-label', `${volume()?.name ?? 'The scan'}, ${described(state.camera)}`);
+  }, LINK_PAUSE);
+  byId('view').classList.toggle('checkered', state.background === 'transparent');
+});
+window.addEventListener('hashchange', () => {
+  if (location.hash === written) return;
+  const state = fromHash(location.hash);
+  store.set({ ...state, volume: state.volume || store.state.volume });
+  enter();
+});
+
+/** Another scan, as it looks unless told. @param {string} id */
+function open(id) {
+  if (id === store.state.volume) return;
+  const { projection, fov_y, azimuth, elevation, roll } = store.state.camera;
+  const camera = { ...DEFAULT_CAMERA, projection, fov_y, azimuth, elevation, roll };
+  store.set({ volume: id, camera, transfer: null, shading: null, window: null });
+  enter();
+}
+
+/** Shows what is known about the scan that the state names. */
+async function enter() {
+  scans.show(volumes);
+  const named = volumes.find(({ id }) => id === store.state.volume);
+  byId('scan-name').lastElementChild?.replaceChildren(named?.name ?? store.state.volume);
+  document.title = `${named?.name ?? 'Scans'} – shearwarp`;
+  const ready = volume();
+  if (!ready) return;
+  presets.setVolume(ready);
+  look.refresh();
+  editor.setHistogram(null);
+  const counted = await histogram(ready.id).catch(() => null);
+  if (volume()?.id === ready.id) editor.setHistogram(counted);
+}
+
+/** Turns to an anatomical view; at once for those who want no motion. @param {keyof typeof ANATOMICAL} name */
+function lookFrom(name) {
+  const { azimuth, elevation } = ANATOMICAL[name];
+  const to = { azimuth, elevation, roll: 0 };
+  const from = store.state.camera;
+  const start = performance.now();
+  const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
+  const step = () => {
+    const part = still ? 1 : Math.min(1, (performance.now() - start) / TURN);
+    const eased = part * part * (3 - 2 * part);
+    store.setCamera(part < 1 ? between(from, to, eased) : to, part < 1);
+    const expected = store.state.camera;
+    // Whoever takes hold of the scan on its way there keeps it.
+    if (part < 1) requestAnimationFrame(() => store.state.camera === expected && step());
+  };
+  step();
+}
+
+/** Finds out what there is, again and again while scans are being loaded. */
+async function load() {
+  try {
+    const [all, listed] = await Promise.all([listVolumes(), listPresets()]);
+    volumes = all;
+    presets.setPresets(listed);
+    messages.show(all.length ? null : new Problem('missing', 'The service has no scans.'));
+  } catch (error) {
+    const problem = error instanceof Problem ? error : new Problem('failed', String(error));
+    messages.show(problem);
+    if (problem.passing) setTimeout(load, 1000 * problem.retryAfter);
+    return;
+  }
+  const known = volumes.some(({ id }) => id === store.state.volume);
+  const first = volumes.find(({ status }) => status === 'ready') ?? volumes[0];
+  if (!store.state.volume && first) store.set({ volume: first.id });
+  else frames.changed(false);
+  if (!known && store.state.volume !== first?.id) messages.show(new Problem('missing', `There is no scan “${store.state.volume}”; the list has what there is.`));
+  await enter();
+  if (volumes.some(({ status }) => status === 'loading')) setTimeout(load, LOADING_PAUSE);
+}
+
+openTab('look');
+load();
