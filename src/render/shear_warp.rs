@@ -19,8 +19,16 @@ pub(super) fn frame(
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
     let classification = scene.classification.expect("the algorithm needs a classification");
-    let run_lengths = scene.encodings.and_then(Encodings::voxels).expect("the algorithm needs encodings");
     let start = Instant::now();
+    let made;
+    let run_lengths = match scene.encodings.and_then(Encodings::voxels) {
+        Some(run_lengths) => run_lengths,
+        None => {
+            let (tables, occupied) = (classification.tables(), classification.occupied());
+            made = RunLengthVolume::encode(scene.prepared, tables, scene.transfer, occupied);
+            &made
+        }
+    };
     let volume = scene.prepared.volume();
 
     // Factor the view into shear and warp.
@@ -52,7 +60,8 @@ pub(super) fn frame(
     warp::warp(&intermediate, &factorization, &settings.background, width as usize, &mut pixels, cancel)?;
     let render = start.elapsed();
 
-    let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
+    let timings =
+        Timings { shade, composite: composite - shade, warp: render - composite, render, ..Timings::default() };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
 }
 

@@ -7,3 +7,4 @@ mod invariance;
 mod layering;
 mod ramp;
 mod scenes;
+mod shear_image;
