@@ -163,14 +163,16 @@ pub enum SlabTable {
 }
 
 /// How a two-dimensional table is read between its entries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Lookup {
     Nearest,
     Bilinear,
 }
 
 /// How opacities are made to suit the length of a ray within a slab.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum OpacityCorrection {
     /// A table for the distance of slices; what is looked up is corrected.
     Lookup,
@@ -181,7 +183,8 @@ pub enum OpacityCorrection {
 }
 
 /// Where a slab's back scalars wait to be the next slab's front scalars.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum BufferSlice {
     /// Two buffers the size of a slice (SB).
     Slice,
@@ -275,6 +278,8 @@ impl Settings {
 /// How long each stage of a frame took. Stages that did not run are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Timings {
+    /// The pre-integration table, where it was not there yet.
+    pub preintegration_table: Duration,
     /// Shading and opacity tables of the view.
     pub shade: Duration,
     /// Slices into the intermediate image (or rays through the volume).
@@ -330,7 +335,7 @@ pub struct Scene<'a> {
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    match settings.way() {
+    match settings.way(view) {
         Way::ImageOrder | Way::ShearImage => Ok(()),
         Way::ShearWarp => match settings.algorithm {
             Algorithm::FastClassification => Err(RenderError::Unsupported {
@@ -350,10 +355,12 @@ enum Way {
 }
 
 impl Settings {
-    fn way(&self) -> Way {
-        match (self.algorithm, self.quality, self.blend) {
+    fn way(&self, view: &View) -> Way {
+        match (self.algorithm, self.blend, self.quality, view.projection()) {
             (Algorithm::Raycast, ..) => Way::ImageOrder,
-            (_, _, Blend::Projection(..)) | (Algorithm::Preintegrated, Quality::High, _) => Way::ShearImage,
+            (_, Blend::Projection(..), ..)
+            | (Algorithm::Preintegrated, _, Quality::High, _)
+            | (Algorithm::Preintegrated, _, _, Projection::Perspective) => Way::ShearImage,
             _ => Way::ShearWarp,
         }
     }
@@ -370,7 +377,7 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match settings.way() {
+    match settings.way(view) {
         Way::ImageOrder => reference(scene, view, settings, cancel),
         Way::ShearImage => shear_image::frame(scene, view, settings, cancel),
         Way::ShearWarp => shear_warp::frame(scene, view, settings, cancel),

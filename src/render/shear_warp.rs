@@ -3,7 +3,7 @@
 mod slabs;
 mod voxels;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::composite::cue::DepthTables;
 use super::composite::{Composite, naive};
@@ -45,7 +45,7 @@ pub(super) fn frame(
 
     // Shear, resample and composite the slices into the intermediate image.
     let mut intermediate = IntermediateImage::new(factorization.size);
-    let ready = match settings.algorithm {
+    let begun = match settings.algorithm {
         Algorithm::Preintegrated => pass.slabs(&mut intermediate),
         _ => pass.voxels(&mut intermediate),
     }?;
@@ -58,8 +58,10 @@ pub(super) fn frame(
     warp::warp(&intermediate, &factorization, &settings.background, width as usize, &mut pixels, cancel)?;
     let render = start.elapsed();
 
-    let shade = ready - start;
-    let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
+    let Begun { at: ready, preintegration_table } = begun;
+    let (shade, composite, warp) =
+        (ready - start - preintegration_table, composite - (ready - start), render - composite);
+    let timings = Timings { preintegration_table, shade, composite, warp, render };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
 }
 
@@ -75,15 +77,21 @@ struct Pass<'a> {
     cancel: &'a Cancel,
 }
 
+/// When compositing began, and how long of the time before a pre-integration table took.
+struct Begun {
+    at: Instant,
+    preintegration_table: Duration,
+}
+
 impl Pass<'_> {
-    /// Composites into `image`; gives when that began.
+    /// Composites into `image`.
     fn run(
         &self,
         composite: &(impl Composite + naive::Pixels),
         image: &mut IntermediateImage,
-    ) -> Result<Instant, RenderError> {
-        let begun = Instant::now();
+    ) -> Result<Begun, RenderError> {
+        let at = Instant::now();
         if self.settings.skipping { composite.run(image) } else { naive::run(composite, image, self.cancel) }?;
-        Ok(begun)
+        Ok(Begun { at, preintegration_table: Duration::ZERO })
     }
 }

@@ -6,3 +6,5 @@ mod golden;
 mod invariance;
 mod layering;
 mod scenes;
+mod shear_image;
+mod slabs;

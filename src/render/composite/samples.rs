@@ -78,8 +78,8 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             }
         }
         if let Some(transfer) = self.gradient_opacity {
-            for n in 0..BLOCK {
-                density[n] = self.gradient_factor(transfer, [(first + n).min(self.dims[0] - 1), j, k]);
+            for (n, density) in density.iter_mut().enumerate() {
+                *density = self.gradient_factor(transfer, [(first + n).min(self.dims[0] - 1), j, k]);
             }
         }
         let mut samples = [Vec4::ZERO; BLOCK];

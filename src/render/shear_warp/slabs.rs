@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::Pass;
+use super::{Begun, Pass};
 use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
 use crate::render::composite::occupied::Occupied;
 use crate::render::composite::samples::VoxelRows;
@@ -15,8 +15,8 @@ use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
 impl Pass<'_> {
-    /// Composites slabs into `image`; gives when the tables were there.
-    pub(super) fn slabs(&self, image: &mut IntermediateImage) -> Result<Instant, RenderError> {
+    /// Composites slabs into `image`.
+    pub(super) fn slabs(&self, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
         let options = &self.settings.preintegration;
         let volume = self.scene.prepared.volume();
         let distance = volume.placement().spacing[self.factorization.principal_axis];
@@ -30,11 +30,14 @@ impl Pass<'_> {
         let scaled = !self.scene.transfer.gradient_opacity.is_empty();
         let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
         let tables = self.classification.slabs().expect("the classification is of slabs");
+        let making = Instant::now();
         let table = tables.table(form, (made_for / options.samples_per_voxel as f64) as f32);
-        match options.lookup {
+        let preintegration_table = making.elapsed();
+        let begun = match options.lookup {
             Lookup::Nearest => self.with_table(Nearest(&table), scaled, length, image),
             Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
-        }
+        }?;
+        Ok(Begun { preintegration_table, ..begun })
     }
 
     fn with_table<S: Slabs>(
@@ -43,7 +46,7 @@ impl Pass<'_> {
         scaled: bool,
         length: f64,
         image: &mut IntermediateImage,
-    ) -> Result<Instant, RenderError> {
+    ) -> Result<Begun, RenderError> {
         if scaled {
             self.with_correction(table, Scaled { length: length as f32 }, image)
         } else if length == 1.0 {
@@ -58,7 +61,7 @@ impl Pass<'_> {
         table: S,
         correction: C,
         image: &mut IntermediateImage,
-    ) -> Result<Instant, RenderError> {
+    ) -> Result<Begun, RenderError> {
         match self.scene.prepared.scanlines(self.factorization.principal_axis) {
             AnyScanlines::U8(scanlines) => self.with_scanlines(table, correction, scanlines, image),
             AnyScanlines::U16(scanlines) => self.with_scanlines(table, correction, scanlines, image),
@@ -71,7 +74,7 @@ impl Pass<'_> {
         correction: C,
         scanlines: Scanlines<'_, T>,
         image: &mut IntermediateImage,
-    ) -> Result<Instant, RenderError> {
+    ) -> Result<Begun, RenderError> {
         let Self { scene, factorization, settings, .. } = *self;
         let shades = self.shading.map_or(&[][..], ShadingTable::entries);
         let composite = SlabComposite {
