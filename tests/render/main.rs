@@ -8,3 +8,4 @@ mod layering;
 mod ramp;
 mod scenes;
 mod shear_image;
+mod slabs;
