@@ -20,6 +20,7 @@ pub mod request;
 pub mod router;
 mod server;
 mod store;
+mod viewer;
 mod volumes;
 
 use std::io::{self, IsTerminal};

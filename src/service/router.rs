@@ -9,13 +9,12 @@ use axum::routing::{MethodRouter, get, post};
 use tower_http::catch_panic::CatchPanicLayer;
 
 use super::error::{Problem, panicked};
-use super::{App, frames, observe, operations, presets, volumes};
+use super::{App, frames, observe, operations, presets, viewer, volumes};
 use crate::encode::Format;
 
 /// Every path with its methods; `GET` includes `HEAD`. openapi.yaml states the same.
 pub(super) fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
-    vec![
-        ("/", get(operations::index)),
+    let service = [
         ("/v1/volumes", get(volumes::list)),
         ("/v1/volumes/{id}", get(volumes::one)),
         ("/v1/volumes/{id}/histogram", get(volumes::histogram)),
@@ -32,7 +31,8 @@ pub(super) fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/readyz", get(operations::readyz)),
         ("/metrics", get(operations::metrics)),
         ("/openapi.yaml", get(operations::openapi)),
-    ]
+    ];
+    viewer::routes().into_iter().chain(service).collect()
 }
 
 /// The paths of all routes, as openapi.yaml writes them.

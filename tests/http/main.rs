@@ -7,4 +7,5 @@ mod frames;
 mod overload;
 mod service;
 mod shutdown;
+mod viewer;
 mod volumes;

@@ -44,8 +44,9 @@ export class Frames {
   #moving = false;
   #failures = 0;
   #scale = 1;
-  /** Of drafts, ms, smoothed: what the service and the picture's way take, and all of it. */
+  /** Of drafts, ms: what the service and the picture's way take, smoothed and of the last; and all of it. */
   #cost = NaN;
+  #last = 0;
   #latency = 0;
   // Timers; 0 where none runs.
   #rest = 0;
@@ -136,7 +137,7 @@ export class Frames {
     // Refinements wait for what they refine.
     const newest = this.#flights.some(({ version }) => version === this.#version);
     const drafts = this.#flights.filter((flight) => flight.stage === 'draft');
-    if (stage === 'draft' ? drafts.length >= (this.#cost > DEAR ? 1 : DRAFTS) || this.#tooSoon(drafts) : newest) return;
+    if (stage === 'draft' ? drafts.length >= (this.#last > DEAR ? 1 : DRAFTS) || this.#tooSoon(drafts) : newest) return;
     this.#fly(stage);
   }
 
@@ -222,6 +223,7 @@ export class Frames {
   #adapt({ stages, downloaded, latency }) {
     this.#latency = this.#latency ? 0.7 * this.#latency + 0.3 * latency : latency;
     const cost = (stages.total ?? 0) - (stages.prepare ?? 0) + downloaded;
+    this.#last = cost;
     this.#cost = Number.isNaN(this.#cost) ? cost : 0.7 * this.#cost + 0.3 * cost;
     const at = SCALES.indexOf(this.#scale);
     if (this.#cost > COST.most && at < SCALES.length - 1) this.#rescale(SCALES[at + 1]);

@@ -5,6 +5,7 @@
  * chosen as the tool that a plain drag uses, and two fingers pan, enlarge and roll at once.
  */
 import { ANATOMICAL, orbited, panned, spun, swivelled, zoomed } from './camera.js';
+import { DEFAULT_CAMERA } from './state.js';
 
 /** @typedef {'orbit' | 'pan' | 'zoom' | 'roll' | 'window'} Tool */
 /** @typedef {[number, number]} Point picture coordinates: the shorter side is -1..1, y up */
@@ -43,7 +44,7 @@ export class Input {
 
   /** The whole scan, from where it is seen. */
   fit() {
-    this.store.setCamera({ zoom: 1.25, target: null });
+    this.store.setCamera({ zoom: DEFAULT_CAMERA.zoom, target: null });
   }
 
   /** @param {MouseEvent} event @returns {Point} */

@@ -7,6 +7,7 @@
 import { axes } from './camera.js';
 import { slider } from './controls.js';
 import { el, iconButton, svg } from './dom.js';
+import { rounded } from './request.js';
 import { add, dot, normalized, scale } from './vector.js';
 
 /** @typedef {import('./state.js').Lamp} Lamp */
@@ -68,7 +69,8 @@ function direction(camera, x, y) {
   const { right, up, back } = axes(camera);
   const far = Math.max(1, Math.hypot(x, y) / 0.995);
   const [sx, sy] = [x / far, y / far];
-  return add(add(scale(right, sx), scale(up, sy)), scale(back, Math.sqrt(1 - sx * sx - sy * sy)));
+  const towards = add(add(scale(right, sx), scale(up, sy)), scale(back, Math.sqrt(1 - sx * sx - sy * sy)));
+  return /** @type {import('./vector.js').Vector} */ (towards.map((part) => rounded(part, 3)));
 }
 
 class LampRow {

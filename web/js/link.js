@@ -6,7 +6,7 @@
  * be understood is left at its default: half a link still shows the scan.
  */
 import { DEFAULTS, DEFAULT_CAMERA, DEFAULT_SHADING } from './state.js';
-import { rounded, tidy } from './request.js';
+import { tidy } from './request.js';
 
 /** @typedef {import('./state.js').State} State */
 /** @typedef {import('./state.js').Camera} Camera */
@@ -112,7 +112,7 @@ function writeShading(shading) {
   if (typeof shading === 'boolean') return shading ? 'on' : 'off';
   const { ambient, diffuse, specular, shininess, lights } = shading;
   const lamps = lights.map((light) =>
-    light === 'headlight' ? 'head' : [...light.direction, light.intensity].map((n) => rounded(n, 3)).join(','));
+    light === 'headlight' ? 'head' : [...light.direction, light.intensity].join(','));
   return [[ambient, diffuse, specular, shininess].join(','), ...lamps].join(';');
 }
 

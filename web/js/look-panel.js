@@ -10,8 +10,8 @@ import { short, withChanged } from './transfer.js';
 const DENSITY = 30;
 
 export class LookPanel {
-  /** The opacity distance that density 1 stands for: that of the last preset. */
-  #reference = 1;
+  /** The opacity distance that density 1 stands for: that of the last preset, or of the link; 0 before. */
+  #reference = 0;
 
   /**
    * @param {import('./state.js').Store} store @param {Look} look @param {TransferEditor} editor @param {Node} presets
@@ -100,7 +100,7 @@ export class LookPanel {
       width.show(short(window.width, window.width));
     }
     const distance = look.current?.opacity_distance;
-    if (distance && (transfer === null || typeof transfer === 'string')) this.#reference = distance;
+    if (distance && (!this.#reference || transfer === null || typeof transfer === 'string')) this.#reference = distance;
     density.element.hidden = blend !== 'composite';
     density.enable(distance !== undefined);
     if (distance) density.show(this.#reference / distance);

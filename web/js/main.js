@@ -62,10 +62,13 @@ const input = new Input(byId('view'), store, sphere, look, lookFrom);
 const scans = new ScanPanel(store, thumbnails, open);
 const share = new Share(store, () => view.size(), messages, /** @type {HTMLDialogElement} */ (byId('dialog')));
 
-frames.onFrame.push((shown) => view.show(shown), (shown) => timings.add(shown), ({ stage }) => (byId('view').dataset.stage = stage));
+frames.onFrame.push((shown) => view.show(shown), (shown) => timings.add(shown), (shown) => {
+  // What is in sight, for scripts that wait for it: empty while the view has moved on.
+  if (shown.state === store.state) byId('view').dataset.stage = shown.stage;
+});
 frames.onProblem = (/** @type {Problem | null} */ problem) => messages.show(problem);
 frames.onRefining = (/** @type {boolean} */ busy) => byId('view').classList.toggle('refining', busy);
-view.onResize = () => frames.changed(false);
+view.onResize = () => changed(false);
 
 byId('overlay').append(new Cube(store, lookFrom).element, timings.element);
 const openTab = tabs(byId('tabs'), byId('panels'), [
@@ -88,11 +91,17 @@ document.addEventListener('keydown', (event) => {
   else look.undo();
 });
 
+/** Another picture is wanted. @param {boolean} moving */
+function changed(moving) {
+  byId('view').dataset.stage = '';
+  frames.changed(moving);
+}
+
 let linking = 0;
 let written = '';
 store.subscribe((state, before, moving) => {
   if (state.volume !== before.volume) frames.dropAll();
-  frames.changed(moving);
+  changed(moving);
   clearTimeout(linking);
   linking = setTimeout(() => {
     written = toHash(state);
@@ -117,6 +126,9 @@ function open(id) {
   enter();
 }
 
+/** The scan whose panels are filled. */
+let entered = '';
+
 /** Shows what is known about the scan that the state names. */
 async function enter() {
   scans.show(volumes);
@@ -124,7 +136,8 @@ async function enter() {
   byId('scan-name').lastElementChild?.replaceChildren(named?.name ?? store.state.volume);
   document.title = `${named?.name ?? 'Scans'} – shearwarp`;
   const ready = volume();
-  if (!ready) return;
+  if (!ready || ready.id === entered) return;
+  entered = ready.id;
   presets.setVolume(ready);
   look.refresh();
   editor.setHistogram(null);
@@ -166,7 +179,7 @@ async function load() {
   const known = volumes.some(({ id }) => id === store.state.volume);
   const first = volumes.find(({ status }) => status === 'ready') ?? volumes[0];
   if (!store.state.volume && first) store.set({ volume: first.id });
-  else frames.changed(false);
+  else changed(false);
   if (!known && store.state.volume !== first?.id) messages.show(new Problem('missing', `There is no scan “${store.state.volume}”; the list has what there is.`));
   await enter();
   if (volumes.some(({ status }) => status === 'loading')) setTimeout(load, LOADING_PAUSE);

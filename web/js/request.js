@@ -22,7 +22,7 @@ export function tidy(camera) {
     roll: rounded(wrapped(camera.roll), 2),
     zoom: Number(camera.zoom.toPrecision(4)),
     fov_y: rounded(camera.fov_y, 1),
-    target: camera.target && /** @type {import('./vector.js').Vector} */ (camera.target.map((mm) => rounded(mm, 2))),
+    target: camera.target && /** @type {import('./vector.js').Vector} */ (camera.target.map((mm) => Number(mm.toPrecision(7)))),
   };
 }
 

@@ -70,9 +70,9 @@ export function short(value, width) {
   return Number(value.toFixed(digits)) || 0;
 }
 
-/** Four or five round numbers within a range. @param {Range} range @returns {number[]} */
+/** A few round numbers within a range. @param {Range} range @returns {number[]} */
 export function ticks([low, high]) {
-  const rough = (high - low) / 4;
+  const rough = (high - low) / 5;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough) ?? rough;
   const first = Math.ceil(low / step);

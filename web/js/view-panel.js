@@ -2,6 +2,7 @@
 import { el } from './dom.js';
 import { choice, numberField, section, select, slider, toggle } from './controls.js';
 import { rendersHigh } from './frames.js';
+import { keep, kept } from './page.js';
 import { tidy } from './request.js';
 
 /** @typedef {import('./state.js').State} State */
@@ -27,7 +28,12 @@ export class ViewPanel {
     this.angles = /** @type {const} */ (['azimuth', 'elevation', 'roll']).map((name) =>
       numberField(name[0].toUpperCase() + name.slice(1), { unit: '°', change: (value) => store.setCamera({ [name]: value }) }));
     this.zoom = numberField('Zoom', { min: 0.05, max: 200, change: (zoom) => store.setCamera({ zoom }) });
-    this.upright = toggle('Keep upright', (on) => (input.upright = on), 'Turning never tilts the scan');
+    this.upright = toggle('Keep upright', (on) => {
+      input.upright = on;
+      keep('upright', on ? 'yes' : 'no');
+    }, 'Turning never tilts the scan');
+    input.upright = kept('upright') === 'yes';
+    this.upright.show(input.upright);
     this.blend = select('Blend', /** @type {import('./controls.js').Option<State['blend']>[]} */ ([
       { value: 'composite', label: 'Composite: opacity and colour' },
       { value: 'maximum', label: 'Maximum intensity' },

@@ -1,0 +1,65 @@
+/** @file A browser, and what tests see of a page: its picture, its errors, where its requests go. */
+import { chromium } from 'playwright-core';
+
+const EXECUTABLE = process.env.CHROMIUM ?? '/usr/bin/chromium';
+const FLAGS = ['--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync'];
+
+/** @typedef {import('playwright-core').Page} Page */
+/** @typedef {{page: Page, errors: string[], strangers: string[], close: () => Promise<void>}} Visit */
+
+export const launch = () => chromium.launch({ executablePath: EXECUTABLE, args: FLAGS });
+
+/**
+ * A fresh visitor's page.
+ * @param {import('playwright-core').Browser} browser @param {string} url
+ * @param {import('playwright-core').BrowserContextOptions} [options]
+ * @returns {Promise<Visit>}
+ */
+export async function visit(browser, url, options = {}) {
+  const context = await browser.newContext({ viewport: { width: 1000, height: 700 }, ...options });
+  const page = await context.newPage();
+  /** @type {string[]} */ const errors = [];
+  /** @type {string[]} */ const strangers = [];
+  const { host } = new URL(url);
+  page.on('console', (message) => ['error', 'warning'].includes(message.type()) && errors.push(message.text()));
+  page.on('pageerror', (error) => errors.push(String(error)));
+  page.on('request', (request) => {
+    const at = new URL(request.url());
+    if (at.protocol !== 'blob:' && at.host !== host) strangers.push(request.url());
+  });
+  await page.goto(url);
+  return { page, errors, strangers, close: () => context.close() };
+}
+
+/** Waits until the picture is that of the newest view, at rest. @param {Page} page @param {string} [stage] */
+export async function rested(page, stage = 'standard') {
+  await page.locator(`#view[data-stage="${stage}"]`).waitFor({ timeout: 60_000 });
+}
+
+/** The picture's pixels, as a hash; and how many of them show something. @param {Page} page @returns {Promise<{hash: string, shown: number}>} */
+export async function picture(page) {
+  return page.evaluate(async () => {
+    const canvas = /** @type {HTMLCanvasElement} */ (document.querySelector('#picture'));
+    // The next frame that the browser paints has what was last asked for.
+    await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
+    const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext('2d'));
+    const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+    let [hash, shown] = [2166136261, 0];
+    for (let i = 0; i < data.length; i += 4) {
+      for (let c = 0; c < 4; c++) hash = Math.imul(hash ^ data[i + c], 16777619);
+      if (data[i] + data[i + 1] + data[i + 2] > 30) shown++;
+    }
+    return { hash: `${canvas.width}x${canvas.height} ${(hash >>> 0).toString(16)}`, shown: shown / (data.length / 4) };
+  });
+}
+
+/** Drags from one place of an element to another, as a hand does. @param {Page} page @param {string} selector @param {[number, number]} from parts of its sides @param {[number, number]} to */
+export async function drag(page, selector, from, to) {
+  const box = await page.locator(selector).boundingBox();
+  if (!box) throw new Error(`${selector} is not in sight`);
+  const at = (/** @type {[number, number]} */ [x, y]) => /** @type {const} */ ([box.x + x * box.width, box.y + y * box.height]);
+  await page.mouse.move(...at(from));
+  await page.mouse.down();
+  await page.mouse.move(...at(to), { steps: 12 });
+  await page.mouse.up();
+}

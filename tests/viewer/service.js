@@ -1,0 +1,50 @@
+/** @file A service of the test's own: started on a free port with the built-in scan, and stopped. */
+import { spawn } from 'node:child_process';
+import { existsSync, statSync } from 'node:fs';
+import { once } from 'node:events';
+import { createInterface } from 'node:readline';
+import { fileURLToPath } from 'node:url';
+
+/** Nothing here takes as long, except where it hangs. */
+const PATIENCE = 60_000;
+
+/** What was built last. */
+function binary() {
+  const built = ['debug', 'release'].map((profile) => fileURLToPath(new URL(`../../target/${profile}/shearwarp`, import.meta.url)));
+  const [newest] = built.filter((path) => existsSync(path)).sort((a, b) => statSync(b).mtimeMs - statSync(a).mtimeMs);
+  if (!newest) throw new Error('there is no shearwarp in target/debug or target/release: cargo build');
+  return newest;
+}
+
+export class Service {
+  /** @type {import('node:child_process').ChildProcess | null} */ #process = null;
+  address = '';
+
+  /** @param {string} [listen] address and port; a free one unless told @param {Record<string, string>} [env] configuration */
+  static async start(listen = '127.0.0.1:0', env = {}) {
+    const service = new Service();
+    await service.#start(listen, env);
+    return service;
+  }
+
+  /** @param {string} listen @param {Record<string, string>} env */
+  async #start(listen, env) {
+    const child = spawn(binary(), ['serve', '--listen', listen], { stdio: ['ignore', 'pipe', 'ignore'], env: { ...process.env, ...env } });
+    this.#process = child;
+    const lines = createInterface({ input: child.stdout });
+    const [line] = await once(lines, 'line', { signal: AbortSignal.timeout(PATIENCE) });
+    this.address = String(line).replace('listening on ', '');
+    for (const start = Date.now(); !(await fetch(`${this.address}/readyz`)).ok; ) {
+      if (Date.now() - start > PATIENCE) throw new Error('the service is never ready');
+      await new Promise((resolve) => setTimeout(resolve, 100));
+    }
+  }
+
+  async stop() {
+    const child = this.#process;
+    this.#process = null;
+    if (!child || child.exitCode !== null) return;
+    child.kill('SIGTERM');
+    await once(child, 'exit');
+  }
+}

@@ -1,0 +1,425 @@
+/**
+ * @file The viewer in a real browser, against a real service with the built-in scan.
+ *
+ * Links ask for `standard`, so that a test knows when a picture is final. Pictures are compared by their
+ * pixels: equal requests give equal frames.
+ */
+import assert from 'node:assert/strict';
+import { execFileSync } from 'node:child_process';
+import { mkdtempSync, readFileSync, rmSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import { tmpdir } from 'node:os';
+import { join } from 'node:path';
+import { after, before, test } from 'node:test';
+import { drag, launch, picture, rested, visit } from './browser.js';
+import { Service } from './service.js';
+
+/** @typedef {import('./browser.js').Page} Page */
+
+const CALM = '#volume=demo&quality=standard';
+const FRAMES = '**/v1/volumes/demo/frame';
+
+/** @type {import('playwright-core').Browser} */ let browser;
+/** @type {Service} */ let service;
+
+before(async () => {
+  [browser, service] = await Promise.all([launch(), Service.start()]);
+});
+after(async () => {
+  await browser?.close();
+  await service?.stop();
+});
+
+/** A visitor of a link whose picture is there. @param {string} [hash] @param {import('playwright-core').BrowserContextOptions} [options] */
+async function arrived(hash = CALM, options = {}) {
+  const seen = await visit(browser, `${service.address}/${hash}`, options);
+  await rested(seen.page);
+  return seen;
+}
+
+/** A number of the link in the address. @param {Page} page @param {string} name */
+const inLink = (page, name) => new URLSearchParams(new URL(page.url()).hash.slice(1)).get(name);
+
+/** @param {Page} page @param {string} name @param {(value: string | null) => boolean} wanted */
+async function linked(page, name, wanted) {
+  for (const start = Date.now(); Date.now() - start < 10_000; await page.waitForTimeout(50)) if (wanted(inLink(page, name))) return;
+  assert.fail(`${name} in ${page.url()}`);
+}
+
+test('it loads without an error and asks no other host', async () => {
+  const { page, errors, strangers, close } = await arrived('');
+  await rested(page, 'standard').catch(() => rested(page, 'high'));
+  assert.ok((await picture(page)).shown > 0.05);
+  assert.match(await page.title(), /demo/i);
+  await page.locator('.preset img[src^="blob:"]').nth(3).waitFor({ timeout: 60_000 });
+  await page.getByRole('tab', { name: 'Scan' }).click();
+  await page.locator('.scans img[src^="blob:"]').first().waitFor({ timeout: 60_000 });
+  assert.match(await page.locator('.facts').innerText(), /160 × 192 × 192/);
+  assert.deepEqual([errors, strangers], [[], []]);
+  await close();
+});
+
+test('a drag turns the scan, and the picture at rest is the link’s', async () => {
+  const { page, errors, close } = await arrived();
+  const first = await picture(page);
+  await drag(page, '#view', [0.5, 0.5], [0.7, 0.45]);
+  await rested(page);
+  const turned = await picture(page);
+  assert.notEqual(turned.hash, first.hash);
+  assert.ok(turned.shown > 0.05);
+  await linked(page, 'azimuth', (azimuth) => azimuth !== null && Number(azimuth) < 20);
+  const other = await arrived(new URL(page.url()).hash);
+  assert.equal((await picture(other.page)).hash, turned.hash);
+  assert.deepEqual([errors, other.errors], [[], []]);
+  await other.close();
+  await close();
+});
+
+test('a shared link shows the same pixels, whatever was set', async () => {
+  const permissions = ['clipboard-read', 'clipboard-write'];
+  const { page, close } = await arrived(CALM, { permissions });
+  await drag(page, '#view', [0.4, 0.5], [0.6, 0.6]);
+  await page.mouse.wheel(0, -200);
+  await drag(page, '.transfer-plot', [0.5, 0.3], [0.55, 0.3]);
+  await page.getByRole('tab', { name: 'Light' }).click();
+  await page.getByRole('button', { name: 'Add a lamp' }).click();
+  await page.getByText('Fade with depth').click();
+  await page.getByRole('tab', { name: 'View' }).click();
+  await page.getByText('Perspective').click();
+  await rested(page);
+  const mine = await picture(page);
+  await page.getByRole('button', { name: 'Copy a link' }).click();
+  await page.getByText('Link copied.').waitFor();
+  const link = await page.evaluate(() => navigator.clipboard.readText());
+  for (const name of ['azimuth', 'zoom', 'target', 'tf', 'shading', 'depth', 'projection']) assert.ok(link.includes(`${name}=`), `${name} in ${link}`);
+  const other = await arrived(new URL(link).hash);
+  assert.equal((await picture(other.page)).hash, mine.hash);
+  await other.close();
+  await close();
+});
+
+test('the transfer function can be edited, undone and done again', async () => {
+  const { page, errors, close } = await arrived();
+  const points = page.locator('.transfer-plot .point');
+  await points.first().waitFor();
+  const [count, first] = [await points.count(), await picture(page)];
+  await page.locator('.transfer-plot').scrollIntoViewIfNeeded();
+  const box = await page.locator('.transfer-plot').boundingBox();
+  assert.ok(box);
+  await page.mouse.click(box.x + box.width * 0.3, box.y + 30);
+  assert.equal(await points.count(), count + 1);
+  await rested(page);
+  const added = await picture(page);
+  assert.notEqual(added.hash, first.hash);
+  await linked(page, 'tf', (tf) => tf !== null && tf.split(';').length > count);
+
+  const selected = page.locator('.transfer-plot .point.selected');
+  const before = await selected.getAttribute('aria-valuetext');
+  const at = await selected.boundingBox();
+  assert.ok(at);
+  await page.mouse.move(at.x + at.width / 2, at.y + at.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(at.x + at.width / 2 + 6, at.y + 90, { steps: 6 });
+  await page.mouse.up();
+  assert.notEqual(await selected.getAttribute('aria-valuetext'), before);
+  await rested(page);
+  const moved = await picture(page);
+  assert.notEqual(moved.hash, added.hash);
+
+  await page.getByRole('button', { name: 'Undo' }).click();
+  await rested(page);
+  assert.equal((await picture(page)).hash, added.hash);
+  await page.getByRole('button', { name: 'Undo' }).click();
+  await rested(page);
+  assert.equal((await picture(page)).hash, first.hash);
+  assert.equal(await points.count(), count);
+  await page.keyboard.press('Control+Shift+z');
+  await page.keyboard.press('Control+Shift+z');
+  await rested(page);
+  assert.equal((await picture(page)).hash, moved.hash);
+
+  await points.nth(2).focus();
+  await page.keyboard.press('ArrowUp');
+  await page.keyboard.press('Delete');
+  assert.equal(await points.count(), count);
+  const color = page.getByLabel('Colour of the point');
+  await color.fill('#00ff00');
+  await linked(page, 'tf', (tf) => tf?.includes('00ff00') ?? false);
+  assert.deepEqual(errors, []);
+  await close();
+});
+
+test('presets switch the look, and an edit starts from the preset', async () => {
+  const { page, errors, close } = await arrived();
+  const first = await picture(page);
+  const bone = page.locator('.preset[data-name="ct-bone"]');
+  await bone.click();
+  await rested(page);
+  const boneOnly = await picture(page);
+  assert.notEqual(boneOnly.hash, first.hash);
+  assert.equal(await bone.getAttribute('aria-pressed'), 'true');
+  await linked(page, 'preset', (name) => name === 'ct-bone');
+  await page.locator('.transfer-plot .point').nth(5).waitFor();
+  assert.match((await page.locator('.transfer-plot .point').first().getAttribute('aria-valuetext')) ?? '', /^value 150, opacity 0, colour #8a5a3c$/);
+  await page.locator('.preset[data-name="ct-skin"]').click();
+  await rested(page);
+  assert.notEqual((await picture(page)).hash, boneOnly.hash);
+  assert.deepEqual(errors, []);
+  await close();
+});
+
+test('keys turn, zoom and choose views, and reach every control', async () => {
+  const { page, errors, close } = await arrived();
+  const first = await picture(page);
+  await page.locator('#view').focus();
+  await page.keyboard.press('ArrowRight');
+  await linked(page, 'azimuth', (azimuth) => azimuth !== null);
+  await rested(page);
+  assert.notEqual((await picture(page)).hash, first.hash);
+  await page.keyboard.press('+');
+  await linked(page, 'zoom', (zoom) => Number(zoom) === 1.375);
+  await page.keyboard.press(']');
+  await linked(page, 'roll', (roll) => roll !== null);
+  await page.keyboard.press('p');
+  await linked(page, 'azimuth', (azimuth) => Math.abs(Number(azimuth)) === 180);
+  await linked(page, 'roll', (roll) => roll === null);
+  await page.getByRole('tab', { name: 'Look' }).focus();
+  await page.keyboard.press('ArrowRight');
+  assert.equal(await page.getByRole('tab', { name: 'Light' }).getAttribute('aria-selected'), 'true');
+  const reached = new Set();
+  for (let i = 0; i < 40; i++) {
+    await page.keyboard.press('Tab');
+    reached.add(await page.evaluate(() => document.activeElement?.id || document.activeElement?.getAttribute('role') || document.activeElement?.getAttribute('type') || document.activeElement?.tagName));
+  }
+  for (const stop of ['scan-name', 'copy-link', 'view', 'switch', 'range']) assert.ok([...reached].some((name) => name === stop || (stop === 'range' && /^control-/.test(name))), `${stop} in ${[...reached]}`);
+  assert.deepEqual(errors, []);
+  await close();
+});
+
+test('projections, algorithms and light change the picture', async () => {
+  const { page, errors, close } = await arrived();
+  let before = (await picture(page)).hash;
+  const differs = async () => {
+    await rested(page);
+    const now = (await picture(page)).hash;
+    assert.notEqual(now, before);
+    before = now;
+  };
+  await page.getByRole('tab', { name: 'View' }).click();
+  await page.getByLabel('Blend').selectOption('maximum');
+  await differs();
+  // Windowing, by the tool that fingers have.
+  await page.locator('#tools label').nth(4).click();
+  await drag(page, '#view', [0.5, 0.5], [0.3, 0.5]);
+  await linked(page, 'window', (window) => window !== null);
+  await differs();
+  await page.getByLabel('Blend').selectOption('composite');
+  await differs();
+  await page.getByLabel('Algorithm').selectOption('classified');
+  await differs();
+  await page.getByRole('tab', { name: 'Light' }).click();
+  await page.getByText('Shade surfaces').click();
+  await differs();
+  await page.getByRole('button', { name: 'White' }).click();
+  await differs();
+  assert.deepEqual(errors, []);
+  await close();
+});
+
+test('the lists are those of the service', async () => {
+  const { page, close } = await arrived();
+  const contract = await (await fetch(`${service.address}/openapi.yaml`)).text();
+  const listed = (/** @type {RegExp} */ pattern) => contract.match(pattern)?.[1].split(', ');
+  const offered = (/** @type {string} */ label) => page.getByLabel(label).locator('option').evaluateAll((options) => options.map((option) => /** @type {HTMLOptionElement} */ (option).value));
+  await page.getByRole('tab', { name: 'View' }).click();
+  assert.deepEqual((await offered('Algorithm')).sort(), listed(/\n {4}Algorithm:[^]*?enum: \[([^\]]*)\]/)?.sort());
+  assert.deepEqual(await offered('Blend'), listed(/\n {4}Blend:[^]*?enum: \[([^\]]*)\]/));
+  await close();
+});
+
+test('on a slow line the newest view wins and the last picture moves along', async () => {
+  const { page, close } = await arrived();
+  let [now, most, all] = [0, 0, 0];
+  await page.route(FRAMES, async (route) => {
+    [now, all] = [now + 1, all + 1];
+    most = Math.max(most, now);
+    await new Promise((resolve) => setTimeout(resolve, 300));
+    await route.continue().catch(() => {});
+    now--;
+  });
+  const first = await picture(page);
+  const box = await page.locator('#view').boundingBox();
+  assert.ok(box);
+  await page.mouse.move(box.x + 200, box.y + 200);
+  await page.mouse.down({ button: 'middle' });
+  for (let i = 1; i <= 30; i++) await page.mouse.move(box.x + 200 + 4 * i, box.y + 200);
+  // Panned at once, though no frame can have come.
+  assert.notEqual((await picture(page)).hash, first.hash);
+  for (let i = 30; i <= 60; i++) await page.mouse.move(box.x + 200 + 4 * i, box.y + 200);
+  await page.mouse.up({ button: 'middle' });
+  await rested(page);
+  assert.ok(most <= 2, `${most} frames were under way at once`);
+  assert.ok(all < 30, `${all} frames for 60 moves`);
+  const last = await picture(page);
+  await page.unroute(FRAMES);
+  await linked(page, 'target', (target) => target !== null);
+  const other = await arrived(new URL(page.url()).hash);
+  assert.equal((await picture(other.page)).hash, last.hash);
+  await other.close();
+  await close();
+});
+
+test('a busy service is named, and asked again when it said', async () => {
+  const { page, errors, close } = await arrived();
+  let refusals = 0;
+  await page.route(FRAMES, (route) => {
+    if (++refusals > 2) return route.continue();
+    const body = { type: 'urn:shearwarp:problem:busy', title: 'Too busy', status: 503, detail: 'the queue is full' };
+    return route.fulfill({ status: 503, headers: { 'Retry-After': '1' }, contentType: 'application/problem+json', body: JSON.stringify(body) });
+  });
+  const before = await picture(page);
+  await page.locator('.preset[data-name="ct-bone"]').click();
+  await page.getByText('The service is busy').waitFor();
+  assert.match(await page.locator('#messages').innerText(), /Trying again in 1 s/);
+  assert.equal((await picture(page)).hash, before.hash, 'the last picture stays');
+  await rested(page);
+  assert.notEqual((await picture(page)).hash, before.hash);
+  assert.equal(await page.locator('.message').count(), 0);
+  // What the browser itself says about the two refusals, and nothing else.
+  assert.deepEqual(errors.filter((error) => !error.includes('503')), []);
+  await close();
+});
+
+test('a full queue is survived', async () => {
+  const narrow = await Service.start('127.0.0.1:0', { SHEARWARP_RENDER__QUEUE: '1', SHEARWARP_RENDER__JOBS: '1' });
+  const seen = await visit(browser, `${narrow.address}/${CALM}`);
+  await rested(seen.page);
+  // Slow frames of others take the one job and the one place in the queue.
+  const abort = new AbortController();
+  const slow = { algorithm: 'raycast', sample_distance: 0.01, early_ray_termination: 1, image: { width: 2048, height: 2048 } };
+  const others = Array.from({ length: 4 }, () => fetch(`${narrow.address}/v1/volumes/demo/frame`, {
+    method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(slow), signal: abort.signal,
+  }).catch(() => null));
+  await seen.page.waitForTimeout(300);
+  await seen.page.locator('.preset[data-name="ct-bone"]').click();
+  await seen.page.getByText('The service is busy').waitFor();
+  abort.abort();
+  await Promise.all(others);
+  await rested(seen.page);
+  assert.equal(await seen.page.locator('.message').count(), 0);
+  await seen.close();
+  await narrow.stop();
+});
+
+test('a restart of the service is survived', async () => {
+  const mortal = await Service.start();
+  const seen = await visit(browser, `${mortal.address}/${CALM}`);
+  await rested(seen.page);
+  const before = await picture(seen.page);
+  await mortal.stop();
+  await drag(seen.page, '#view', [0.5, 0.5], [0.6, 0.5]);
+  await seen.page.getByText('The service does not answer').waitFor();
+  assert.ok((await picture(seen.page)).shown > 0.05, 'the last picture stays');
+  const risen = await Service.start(new URL(mortal.address).host);
+  await seen.page.getByRole('button', { name: 'Try now' }).click({ timeout: 3000 }).catch(() => {});
+  await rested(seen.page);
+  assert.notEqual((await picture(seen.page)).hash, before.hash);
+  assert.equal(await seen.page.locator('.message').count(), 0);
+  await seen.close();
+  await risen.stop();
+});
+
+test('a refusal names the field', async () => {
+  const { page, close } = await visit(browser, `${service.address}/${CALM}&projection=perspective&fov_y=500`);
+  const message = page.locator('.message.refused');
+  await message.waitFor();
+  assert.match(await message.innerText(), /The service refuses this[^]*\/camera\/fov_y/);
+  await page.getByRole('tab', { name: 'View' }).click();
+  await page.getByText('Parallel').click();
+  await rested(page);
+  assert.equal(await message.count(), 0);
+  await close();
+});
+
+test('a picture is saved at the size that was asked for, and as the command says', async () => {
+  const folder = mkdtempSync(join(tmpdir(), 'viewer-'));
+  const { page, close } = await arrived(CALM, { permissions: ['clipboard-read', 'clipboard-write'] });
+  const size = (/** @type {string} */ path) => [16, 20].map((at) => readFileSync(path).readUInt32BE(at));
+  await page.getByRole('button', { name: 'Save the picture' }).click();
+  await page.getByLabel('Width').last().fill('321');
+  await page.getByLabel('Height').last().fill('234');
+  await page.getByLabel('Height').last().blur();
+  const downloading = page.waitForEvent('download');
+  await page.getByRole('button', { name: 'Save', exact: true }).click();
+  const download = await downloading;
+  assert.equal(download.suggestedFilename(), 'demo.png');
+  await download.saveAs(join(folder, 'saved.png'));
+  assert.deepEqual(size(join(folder, 'saved.png')), [321, 234]);
+
+  await page.getByRole('button', { name: 'Copy as a curl command' }).click();
+  await page.getByText('Command copied.').waitFor();
+  const command = await page.evaluate(() => navigator.clipboard.readText());
+  execFileSync('sh', ['-c', command.replace(/^curl/, 'curl -sf')], { cwd: folder });
+  const shown = await page.evaluate(() => [...document.querySelectorAll('canvas')].map(({ width, height }) => [width, height])[0]);
+  assert.deepEqual(size(join(folder, 'frame.png')), shown);
+  rmSync(folder, { recursive: true });
+  await close();
+});
+
+test('a phone held upright has room for everything, and fingers turn and enlarge', async () => {
+  const { page, errors, close } = await arrived(CALM, { viewport: { width: 360, height: 740 }, hasTouch: true, isMobile: true });
+  for (const name of ['Scan', 'Look', 'Light', 'View']) {
+    await page.getByRole('tab', { name }).click();
+    const { inner, outer } = await page.evaluate(() => ({ inner: document.documentElement.scrollWidth, outer: innerWidth }));
+    assert.ok(inner <= outer && outer === 360, `${name}: ${inner} in ${outer}`);
+    const cut = await page.locator('#panels').evaluate((panels) => panels.scrollWidth > panels.clientWidth);
+    assert.equal(cut, false, name);
+  }
+  const before = await picture(page);
+  const client = await page.context().newCDPSession(page);
+  const touch = (/** @type {string} */ type, /** @type {number[][]} */ ...at) =>
+    client.send('Input.dispatchTouchEvent', { type: /** @type {any} */ (type), touchPoints: at.map(([x, y], id) => ({ x, y, id })) });
+  await touch('touchStart', [150, 250]);
+  for (let i = 1; i <= 8; i++) await touch('touchMove', [150 + 5 * i, 250]);
+  await touch('touchEnd');
+  await linked(page, 'azimuth', (azimuth) => azimuth !== null);
+  await touch('touchStart', [150, 250], [210, 250]);
+  for (let i = 1; i <= 8; i++) await touch('touchMove', [150 - 3 * i, 250], [210 + 3 * i, 250]);
+  await touch('touchEnd');
+  await linked(page, 'zoom', (zoom) => Number(zoom) > 1.8);
+  await rested(page);
+  assert.notEqual((await picture(page)).hash, before.hash);
+  assert.deepEqual(errors, []);
+  await close();
+});
+
+test('nothing that assistive technology needs is missing, in light and in dark', async () => {
+  const axe = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
+  for (const colorScheme of /** @type {const} */ (['light', 'dark'])) {
+    const { page, close } = await arrived(CALM, { colorScheme, reducedMotion: 'reduce' });
+    await page.locator('.transfer-plot .point').first().waitFor();
+    for (const name of ['Scan', 'Look', 'Light', 'View']) {
+      await page.getByRole('tab', { name }).click();
+      await page.evaluate(axe);
+      const found = await page.evaluate(async () => {
+        // @ts-expect-error: axe is what was just evaluated
+        const { violations } = await axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21aa', 'wcag22aa'] });
+        return violations.map((/** @type {any} */ { id, nodes }) => `${id}: ${nodes.map((/** @type {any} */ node) => node.html).join(' ')}`);
+      });
+      assert.deepEqual(found, [], `${name}, ${colorScheme}`);
+    }
+    await close();
+  }
+});
+
+test('the theme is the system’s until one is chosen, and is kept', async () => {
+  const { page, close } = await arrived(CALM, { colorScheme: 'dark' });
+  const ground = () => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
+  const dark = await ground();
+  await page.getByRole('button', { name: 'Theme' }).click();
+  const light = await ground();
+  assert.notEqual(light, dark);
+  await page.reload();
+  assert.equal(await ground(), light);
+  await close();
+});
