@@ -5,6 +5,7 @@ mod equivalence;
 mod golden;
 mod invariance;
 mod layering;
+mod projections;
 mod ramp;
 mod scenes;
 mod shear_image;
