@@ -336,7 +336,8 @@ pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), Re
                 pointer: "/algorithm",
                 detail: format!("{} is not supported by this version", settings.algorithm.name()),
             }),
-            _ => Factorization::new(view, volume).map(|_| ()),
+            _ if view.projection() == Projection::Perspective => Err(shear_warp::perspective()),
+            _ => Factorization::parts(view, volume).map(|_| ()),
         },
     }
 }

@@ -24,11 +24,15 @@ pub(super) fn frame(
     let volume = scene.prepared.volume();
 
     // Factor the view into shear and warp.
-    let factorization = Factorization::new(view, volume)?;
+    let parts = Factorization::parts(view, volume)?;
+    let [factorization] = &parts[..] else { return Err(perspective()) };
+    if !factorization.is_parallel() {
+        return Err(perspective());
+    }
 
     // Make the tables that depend on the view: opacity and colour by code, shading by normal.
     let factored = !scene.transfer.gradient_opacity.is_empty();
-    let tables = SliceTables::new(classification.tables(), &factorization, factored);
+    let tables = SliceTables::new(classification.tables(), factorization, factored);
     let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
     let shading =
         settings.shading.as_ref().map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame));
@@ -36,7 +40,7 @@ pub(super) fn frame(
 
     // Shear, resample and composite the slices into the intermediate image.
     let mut intermediate = IntermediateImage::new(factorization.size);
-    let frame = ClassifiedFrame { run_lengths, factorization: &factorization, settings, cancel };
+    let frame = ClassifiedFrame { run_lengths, factorization, settings, cancel };
     match (&shading, factored) {
         (Some(_), true) => frame.composite::<true, true>(&tables, shading.as_ref(), &mut intermediate),
         (Some(_), false) => frame.composite::<true, false>(&tables, shading.as_ref(), &mut intermediate),
@@ -49,11 +53,20 @@ pub(super) fn frame(
     let (width, height) = view.size();
     let channels = settings.background.channels();
     let mut pixels = vec![0; width as usize * height as usize * channels];
-    warp::warp(&intermediate, &factorization, &settings.background, width as usize, &mut pixels, cancel)?;
+    let parts = [warp::Part { factorization, image: &intermediate }];
+    warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
     let render = start.elapsed();
 
     let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+}
+
+/// What is said of perspective views.
+pub(super) fn perspective() -> RenderError {
+    RenderError::Unsupported {
+        pointer: "/camera/projection",
+        detail: "the algorithm classified is for parallel projection".into(),
+    }
 }
 
 /// What compositing takes from the frame, whatever its type parameters.

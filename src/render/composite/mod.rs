@@ -94,7 +94,7 @@ impl<const LIT: bool, const FACTORED: bool> Composite<'_, LIT, FACTORED> {
             rows.enter(j, &upper, lower.as_ref());
             let mut scanline = band.scanline(row);
             spans.find(rows, &scanline, placement.first[0], fraction_u > 0.0);
-            if !self.factorization.clip.is_empty() {
+            if self.factorization.is_clipped() {
                 let visible = self.factorization.visible_pixels(v, k);
                 spans.clip(visible, placement.first[0]);
             }

@@ -44,7 +44,7 @@ impl<const LIT: bool, const FACTORED: bool> Composite<'_, LIT, FACTORED> {
             let inside = |at: usize, axis: usize| {
                 at >= slice.first[axis] && at - slice.first[axis] + between[axis] < f.dims[axis]
             };
-            if !inside(u, 0) || !inside(v, 1) || !(f.clip.is_empty() || f.visible_pixels(v, k).contains(&u)) {
+            if !inside(u, 0) || !inside(v, 1) || f.is_clipped() && !f.visible_pixels(v, k).contains(&u) {
                 continue;
             }
             let (i, j) = (u - slice.first[0], v - slice.first[1]);
