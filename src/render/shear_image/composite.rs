@@ -149,8 +149,11 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composit
 
 impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S, LIT, SCALED> {
     #[inline(always)]
-    fn coordinates(&self, codes: Lanes) -> Lanes {
-        codes.map(|code| self.table.coordinate(code))
+    fn coordinates(&self, mut codes: Lanes) -> Lanes {
+        for code in &mut codes {
+            *code = self.table.coordinate(*code);
+        }
+        codes
     }
 
     /// The slabs of all lanes between two slice positions.

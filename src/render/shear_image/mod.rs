@@ -134,12 +134,15 @@ impl<P: Pixels> Kernel for Band<'_, P> {
             }
             let lanes = LANES.min(width - x);
             for row in 0..self.rows {
-                let out = &mut colors[row * width + x..][..lanes];
-                self.frame.rays.packets(x, self.first + row, lanes, |packet| {
-                    let pixels = self.pixels.pixels(packet);
-                    let (first, last) = packet.lanes;
-                    out[first..=last].copy_from_slice(&pixels[first..=last]);
-                });
+                let (y, out) = (self.first + row, &mut colors[row * width + x..][..lanes]);
+                let mut first = 0;
+                while first < lanes {
+                    let end = self.frame.rays.part_end(x, y, first, lanes);
+                    if let Some(packet) = self.frame.rays.packet(x, y, first..end) {
+                        out[first..end].copy_from_slice(&self.pixels.pixels(&packet)[first..end]);
+                    }
+                    first = end;
+                }
             }
         }
         Ok(colors)

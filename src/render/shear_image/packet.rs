@@ -123,34 +123,36 @@ impl IndexRays {
         if self.parallel { (at, self.eye) } else { (self.eye, at) }
     }
 
-    /// The rays of `lanes` pixels from (x, y) on, as packets of one principal axis and one order of
-    /// slices each: one packet but where two parts of a perspective view meet. Lanes that a packet
-    /// leaves out miss the volume.
+    /// The end of the lanes from `first` on (of `lanes` pixels from (x, y) on) that are of one part of the
+    /// view: one principal axis, slices met in one order. All of them but where parts meet.
     #[inline(always)]
-    pub fn packets(&self, x: usize, y: usize, lanes: usize, mut each: impl FnMut(&Packet)) {
-        let y = y as f64 + 0.5;
-        let part = |lane: usize| {
-            let (_, direction) = self.ray((x + lane) as f64 + 0.5, y);
-            let axis = principal_axis(direction);
-            (axis, direction[axis] < 0.0)
-        };
+    pub fn part_end(&self, x: usize, y: usize, first: usize, lanes: usize) -> usize {
         // The directions of one part are a convex cone: where both ends are in it, all are.
-        let mut first = 0;
-        while first < lanes {
-            let here = part(first);
-            let mut end = lanes;
-            if part(lanes - 1) != here {
-                end = (first + 1..lanes).find(|&lane| part(lane) != here).unwrap_or(lanes);
-            }
-            if let Some(packet) = self.packet(x, y, first..end, here) {
-                each(&packet);
-            }
-            first = end;
+        let here = self.part(x + first, y);
+        if self.parallel || self.part(x + lanes - 1, y) == here {
+            return lanes;
         }
+        let mut end = first + 1;
+        while end < lanes && self.part(x + end, y) == here {
+            end += 1;
+        }
+        end
     }
 
+    /// The principal axis of a pixel's ray, and whether it meets slices in descending order.
     #[inline(always)]
-    fn packet(&self, x: usize, y: f64, lanes: Range<usize>, (axis, reversed): (usize, bool)) -> Option<Packet> {
+    fn part(&self, x: usize, y: usize) -> (usize, bool) {
+        let (_, direction) = self.ray(x as f64 + 0.5, y as f64 + 0.5);
+        let axis = principal_axis(direction);
+        (axis, direction[axis] < 0.0)
+    }
+
+    /// The rays of `lanes` of the pixels from (x, y) on, which are of one part; `None` where none meets
+    /// the volume.
+    #[inline(always)]
+    pub fn packet(&self, x: usize, y: usize, lanes: Range<usize>) -> Option<Packet> {
+        let (axis, reversed) = self.part(x + lanes.start, y);
+        let y = y as f64 + 0.5;
         let in_slice = IN_SLICE[axis];
         let first_slice = if reversed { (self.dims[axis] - 1) as f64 } else { 0.0 };
         let mut packet = Packet {
@@ -176,9 +178,9 @@ impl IndexRays {
                 packet.enter[lane] = enter as f32;
                 packet.leave[lane] = leave as f32;
             }
-            for (n, axis) in in_slice.into_iter().enumerate() {
-                packet.start[n][lane] = at_first[axis] as f32;
-                packet.slope[n][lane] = per_slice[axis] as f32;
+            for n in 0..2 {
+                packet.start[n][lane] = at_first[in_slice[n]] as f32;
+                packet.slope[n][lane] = per_slice[in_slice[n]] as f32;
             }
             let step = self.world_from_index.transform_vector3(per_slice);
             let length = step.length();
@@ -193,27 +195,29 @@ impl IndexRays {
     /// Where `start + t step` is inside the volume, in front of the eye and within the clip planes.
     #[inline(always)]
     fn span(&self, start: DVec3, step: DVec3, origin: DVec3, axis: usize) -> (f64, f64) {
-        let last = (self.dims[axis] - 1) as f64;
         let behind_eye = (origin[axis] - start[axis]) * step[axis];
-        let mut enter = if self.parallel { 0.0 } else { f64::max(0.0, behind_eye) };
-        let mut leave = last;
-        let mut cut = |distance: f64, rate: f64| {
-            // distance + t rate >= 0
-            if rate > 0.0 {
-                enter = enter.max(-distance / rate);
-            } else if rate < 0.0 {
-                leave = leave.min(-distance / rate);
-            } else if distance < 0.0 {
-                leave = f64::NEG_INFINITY;
-            }
-        };
+        let mut span = (if self.parallel { 0.0 } else { f64::max(0.0, behind_eye) }, (self.dims[axis] - 1) as f64);
         for axis in IN_SLICE[axis] {
-            cut(start[axis], step[axis]);
-            cut((self.dims[axis] - 1) as f64 - start[axis], -step[axis]);
+            span = cut(span, start[axis], step[axis]);
+            span = cut(span, (self.dims[axis] - 1) as f64 - start[axis], -step[axis]);
         }
         for half in &self.clip {
-            cut(half.normal.dot(start) + half.offset, half.normal.dot(step));
+            span = cut(span, half.normal.dot(start) + half.offset, half.normal.dot(step));
         }
+        span
+    }
+}
+
+/// What of a span has `distance + t rate >= 0`.
+#[inline(always)]
+fn cut((enter, leave): (f64, f64), distance: f64, rate: f64) -> (f64, f64) {
+    if rate > 0.0 {
+        (enter.max(-distance / rate), leave)
+    } else if rate < 0.0 {
+        (enter, leave.min(-distance / rate))
+    } else if distance < 0.0 {
+        (enter, f64::NEG_INFINITY)
+    } else {
         (enter, leave)
     }
 }
@@ -222,34 +226,57 @@ impl IndexRays {
 #[inline(always)]
 fn principal_axis(along: DVec3) -> usize {
     let along = along.abs();
-    [1, 0].into_iter().fold(2, |best, axis| if along[axis] > along[best] * AXIS_MARGIN { axis } else { best })
+    let mut best = 2;
+    for axis in [1, 0] {
+        if along[axis] > along[best] * AXIS_MARGIN {
+            best = axis;
+        }
+    }
+    best
 }
 
 impl Packet {
     /// Positions along `i` (0) or `j` (1) at slice position `t`.
     #[inline(always)]
     pub fn at(&self, n: usize, t: f32) -> Lanes {
-        std::array::from_fn(|lane| self.start[n][lane] + t * self.slope[n][lane])
+        let mut at = [0.0; LANES];
+        for lane in 0..LANES {
+            at[lane] = self.start[n][lane] + t * self.slope[n][lane];
+        }
+        at
     }
 
     /// The lanes that meet the volume, a bit each.
     #[inline(always)]
     pub fn hits(&self) -> u32 {
-        (0..LANES).fold(0, |hits, lane| hits | u32::from(self.enter[lane] < self.leave[lane]) << lane)
+        let mut hits = 0;
+        for lane in 0..LANES {
+            hits |= u32::from(self.enter[lane] < self.leave[lane]) << lane;
+        }
+        hits
     }
 
     /// The first slice position of any lane, and the last.
     #[inline(always)]
     pub fn span(&self) -> (f32, f32) {
-        (smallest(&self.enter), largest(&self.leave))
+        let (mut enter, mut leave) = (f32::INFINITY, f32::NEG_INFINITY);
+        for lane in 0..LANES {
+            enter = enter.min(self.enter[lane]);
+            leave = leave.max(self.leave[lane]);
+        }
+        (enter, leave)
     }
 
     /// All lanes that hit are inside the volume between these positions.
     #[inline(always)]
     pub fn inside(&self, hits: u32) -> (f32, f32) {
-        let hit = |lane: &usize| hits >> lane & 1 == 1;
-        let enter = (0..LANES).filter(hit).fold(f32::NEG_INFINITY, |all, lane| all.max(self.enter[lane]));
-        let leave = (0..LANES).filter(hit).fold(f32::INFINITY, |all, lane| all.min(self.leave[lane]));
+        let (mut enter, mut leave) = (f32::NEG_INFINITY, f32::INFINITY);
+        for lane in 0..LANES {
+            if hits >> lane & 1 == 1 {
+                enter = enter.max(self.enter[lane]);
+                leave = leave.min(self.leave[lane]);
+            }
+        }
         (enter, leave)
     }
 
@@ -259,19 +286,11 @@ impl Packet {
     #[inline(always)]
     pub fn bounds(&self, n: usize, [from, to]: [f32; 2], cells: usize) -> [usize; 2] {
         let (first, last) = self.lanes;
-        let at = |lane: usize, t: f32| self.start[n][lane] + t * self.slope[n][lane];
-        let (a, b, c, d) = (at(first, from), at(first, to), at(last, from), at(last, to));
+        let (start, slope) = (&self.start[n], &self.slope[n]);
+        let (a, b) = (start[first] + from * slope[first], start[first] + to * slope[first]);
+        let (c, d) = (start[last] + from * slope[last], start[last] + to * slope[last]);
         let end = (cells - 1) as f32;
-        [a.min(b).min(c.min(d)), a.max(b).max(c.max(d))].map(|p| p.clamp(0.0, end) as usize)
+        let (low, high) = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
+        [low.clamp(0.0, end) as u32 as usize, high.clamp(0.0, end) as u32 as usize]
     }
-}
-
-#[inline(always)]
-fn smallest(lanes: &Lanes) -> f32 {
-    lanes.iter().fold(f32::INFINITY, |all, &lane| all.min(lane))
-}
-
-#[inline(always)]
-fn largest(lanes: &Lanes) -> f32 {
-    lanes.iter().fold(f32::NEG_INFINITY, |all, &lane| all.max(lane))
 }

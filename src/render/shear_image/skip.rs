@@ -14,6 +14,8 @@ use crate::volume::octree::{LEAF, leaf_of, leaves_along};
 #[derive(Clone, Copy, Debug)]
 pub struct Skip<'a> {
     dims: [usize; 3],
+    /// Leaves from one to the next along an axis.
+    leaf_strides: [usize; 3],
     /// Flags of leaves; `None`: nothing is skipped.
     leaves: Option<&'a [bool]>,
     cells: Option<[AxisCells<'a>; 3]>,
@@ -23,12 +25,13 @@ impl<'a> Skip<'a> {
     /// By leaves and, where they are there, by runs of cells of a volume of `dims` voxels.
     pub fn new(dims: [usize; 3], classification: &'a Classification, encodings: Option<&'a Encodings>) -> Self {
         let cells = encodings.and_then(Encodings::cells).map(|cells| [0, 1, 2].map(|axis| cells.for_axis(axis)));
-        Self { dims, leaves: Some(classification.occupied()), cells }
+        Self { leaves: Some(classification.occupied()), cells, ..Self::nothing(dims) }
     }
 
     /// Nothing is skipped.
     pub fn nothing(dims: [usize; 3]) -> Self {
-        Self { dims, leaves: None, cells: None }
+        let counts = dims.map(leaves_along);
+        Self { dims, leaf_strides: [1, counts[0], counts[0] * counts[1]], leaves: None, cells: None }
     }
 
     /// The first layer from `layer` on (and before `end`) in which something may show.
@@ -79,12 +82,12 @@ impl<'a> Skip<'a> {
     pub fn any_leaf(&self, packet: &Packet, layer: usize, end: usize, ask: impl Fn(usize) -> bool) -> bool {
         let [i, j] = IN_SLICE[packet.axis];
         let span = [layer as f32, end as f32];
-        let leaf_range = |n: usize, axis: usize| {
-            packet.bounds(n, span, self.dims[axis] - 1).map(|cell| leaf_of(cell, self.dims[axis]))
-        };
-        let (along_i, along_j) = (leaf_range(0, i), leaf_range(1, j));
-        let counts = self.dims.map(leaves_along);
-        let strides = [1, counts[0], counts[0] * counts[1]];
+        let (ni, nj) = (self.dims[i], self.dims[j]);
+        let [first_i, last_i] = packet.bounds(0, span, ni - 1);
+        let [first_j, last_j] = packet.bounds(1, span, nj - 1);
+        let along_i = [leaf_of(first_i, ni), leaf_of(last_i, ni)];
+        let along_j = [leaf_of(first_j, nj), leaf_of(last_j, nj)];
+        let strides = self.leaf_strides;
         let slice = leaf_of(self.stored(packet, layer), self.dims[packet.axis]) * strides[packet.axis];
         (along_j[0]..=along_j[1]).any(|leaf_j| {
             (along_i[0]..=along_i[1]).any(|leaf_i| ask(slice + leaf_i * strides[i] + leaf_j * strides[j]))
@@ -102,15 +105,18 @@ impl<'a> Skip<'a> {
         let (first_word, last_word) = (first / WORD, last / WORD);
         let from = u64::MAX << (first % WORD);
         let to = u64::MAX >> (WORD - 1 - last % WORD);
-        (top..=bottom).any(|row| {
+        let mut shows = 0;
+        for row in top..=bottom {
             let words = cells.scanline(row, k);
             if first_word == last_word {
-                words[first_word] & from & to != 0
+                shows |= words[first_word] & from & to;
             } else {
-                words[first_word] & from != 0
-                    || words[last_word] & to != 0
-                    || words[first_word + 1..last_word].iter().any(|&word| word != 0)
+                shows |= words[first_word] & from | words[last_word] & to;
+                for word in &words[first_word + 1..last_word] {
+                    shows |= word;
+                }
             }
-        })
+        }
+        shows != 0
     }
 }
