@@ -232,6 +232,11 @@ impl Factorization {
         k == 0 || k == self.dims[2] - 1
     }
 
+    /// TEMPORARY
+    pub fn ray_of(&self, u: usize, v: usize) -> DVec3 {
+        self.ray * DVec3::new(u as f64, v as f64, 1.0)
+    }
+
     /// Length of the ray of pixel (u, v) between two slices, in units of [`Self::slice_distance`].
     pub fn relative_length(&self, u: usize, v: usize) -> f32 {
         ((self.ray * DVec3::new(u as f64, v as f64, 1.0)).length() / self.slice_distance) as f32

@@ -16,6 +16,7 @@
 //! Everything skipped would have added exact zeros or stood behind an opaque pixel; [`naive`] does
 //! it all the slow way and tests hold both together bit for bit.
 
+pub mod footprint;
 pub mod naive;
 mod rows;
 mod spans;

@@ -37,7 +37,10 @@ use crate::volume::Volume;
 /// Voxels by which a ray may move from slice to slice before the picture is split; at most. Flatter rays
 /// see slabs that are more than twice as thick as they need to be. (A parallel view has at most 1; a
 /// view at 45 degrees to two axes with half a field of view of 11 degrees has this.)
-const SLOPE_LIMIT: f64 = 1.5;
+const SLOPE_LIMIT: f64 = 2.0;
+
+/// So far beyond what the picture's outermost rays see the image goes on, pixels: rounding leaves none out.
+const MARGIN: f64 = 1.0 / 64.0;
 
 /// Positions this far below a whole pixel are on it, pixels.
 const ROUNDING: f64 = 1e-6;
@@ -101,7 +104,8 @@ impl Pyramid {
                 best = Some((slope, axis, polygon));
             }
         }
-        best.filter(|(slope, ..)| *slope <= SLOPE_LIMIT).map(|(_, axis, polygon)| (axis, polygon))
+        best.filter(|(slope, ..)| *slope <= std::env::var("SL").map_or(SLOPE_LIMIT, |s| s.parse().unwrap()))
+            .map(|(_, axis, polygon)| (axis, polygon))
     }
 
     /// The polygon of the rays that meet the volume and are most parallel to `axis`.
@@ -176,19 +180,19 @@ impl Pyramid {
         if polygon.is_empty() || slices.is_empty() {
             return None;
         }
-        let slopes = polygon.iter().map(|&at| self.slope(axis, at));
-        let (lowest, highest) =
-            slopes.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), slope| (low.min(slope), high.max(slope)));
-        let bounds = [0, 1].map(|n| self.slope_bounds(axis, n));
-        let lowest = lowest.max(DVec2::new(bounds[0][0], bounds[1][0]));
-        let highest = highest.min(DVec2::new(bounds[0][1], bounds[1][1])).max(lowest);
-
         let dims = PERMUTATIONS[axis.axis].map(|axis| volume.dims()[axis]);
         let middle = polygon.iter().sum::<DVec2>() / polygon.len() as f64;
         let width = dims[0].max(dims[1]) as f64;
         let distance = self.distances(axis)[0].max((width / 2.0).min(1.0 / self.resolution(axis, middle)));
         let eye = permuted(axis.axis, self.eye);
-        let (low, high) = (eye.truncate() + lowest * distance, eye.truncate() + highest * distance);
+
+        // What the picture sees of the plane, and where the volume ends.
+        let seen = polygon.iter().map(|&at| eye.truncate() + self.slope(axis, at) * distance);
+        let (low, high) = seen.fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+        let [[left, right], [top, bottom]] =
+            [0, 1].map(|n| self.slope_bounds(axis, n).map(|slope| eye[n] + slope * distance));
+        let low = (low - MARGIN).max(DVec2::new(left, top));
+        let high = (high + MARGIN).min(DVec2::new(right, bottom)).max(low);
         let origin = (low + ROUNDING).floor();
         let extent = [(low - origin).max(DVec2::ZERO), high - origin];
 
