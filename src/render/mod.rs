@@ -162,14 +162,16 @@ pub enum SlabTable {
 }
 
 /// How a two-dimensional table is read between its entries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Lookup {
     Nearest,
     Bilinear,
 }
 
 /// How opacities are made to suit the length of a ray within a slab.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum OpacityCorrection {
     /// A table for the distance of slices; what is looked up is corrected.
     Lookup,
@@ -180,7 +182,8 @@ pub enum OpacityCorrection {
 }
 
 /// Where a slab's back scalars wait to be the next slab's front scalars.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum BufferSlice {
     /// Two buffers the size of a slice (SB).
     Slice,
@@ -351,9 +354,9 @@ enum Way {
 
 impl Settings {
     fn way(&self) -> Way {
-        match (self.algorithm, self.quality, self.blend) {
-            (Algorithm::Raycast, ..) => Way::ImageOrder,
-            (_, _, Blend::Projection(..)) | (Algorithm::Preintegrated, Quality::High, _) => Way::ShearImage,
+        match (self.algorithm, self.blend) {
+            (Algorithm::Raycast, _) => Way::ImageOrder,
+            (_, Blend::Projection(..)) | (Algorithm::Preintegrated, _) => Way::ShearImage,
             _ => Way::ShearWarp,
         }
     }

@@ -19,7 +19,7 @@ use serde_json::Value;
 pub use crate::classify::InvalidField;
 use crate::classify::TransferFunction;
 use crate::encode::Format;
-use crate::render::{Background, Camera, Quality, Shading};
+use crate::render::{Background, Camera, DepthCueing, IntensityProjection, Preintegration, Quality, Shading, Window};
 pub use options::{Kind, OPTIONS, RequestOption};
 pub use resolve::{ImageLimits, ResolvedRequest};
 
@@ -48,10 +48,9 @@ enum AlgorithmChoice {
     #[default]
     Auto,
     Classified,
-    Raycast,
-    // Names of the API that `fields::refuse_unsupported` turns away for now.
     FastClassification,
     Preintegrated,
+    Raycast,
 }
 
 /// Where the transfer function comes from.
@@ -96,6 +95,11 @@ pub struct RenderRequest {
     early_ray_termination: Option<f64>,
     min_opacity: Option<f64>,
     sample_distance: Option<f64>,
+    projection: Option<IntensityProjection>,
+    /// The volume's range of values unless told.
+    window: Option<Window>,
+    preintegration: Preintegration,
+    depth_cueing: Option<DepthCueing>,
     spelling: Spelling,
 }
 
@@ -211,7 +215,9 @@ mod tests {
             "shading": {"ambient": 0.1, "diffuse": 0.8, "specular": 0.2, "shininess": 20,
                 "lights": ["headlight", {"direction": [0, 0, 1], "intensity": 1}]},
             "blend": "composite", "algorithm": "auto", "quality": "standard", "early_ray_termination": 0.99,
-            "min_opacity": 0.002, "sample_distance": 0.125
+            "min_opacity": 0.002, "sample_distance": 0.125, "depth_cueing": {"front": 1.0, "density": 1.0},
+            "preintegration": {"table": "2d", "entries": 256, "lookup": "bilinear", "opacity_correction": "view",
+                "buffer": "slice", "samples_per_voxel": 1}
         }"##;
         assert_eq!(json(text).unwrap().format(), Some(Format::Png));
     }
@@ -282,6 +288,20 @@ mod tests {
             (r#"{"algorithm": "classified", "sample_distance": 1}"#, "/sample_distance"),
             (r#"{"sample_distance": 0}"#, "/sample_distance"),
             (r#"{"algorithm": "classified", "quality": "high"}"#, "/quality"),
+            (r#"{"algorithm": "fast-classification", "quality": "high"}"#, "/quality"),
+            (r#"{"algorithm": "preintegrated", "sample_distance": 1}"#, "/sample_distance"),
+            (r#"{"algorithm": "classified", "preintegration": {}}"#, "/preintegration"),
+            (r#"{"preintegration": {"entries": 1}}"#, "/preintegration/entries"),
+            (r#"{"preintegration": {"entries": 100000}}"#, "/preintegration/entries"),
+            (r#"{"preintegration": {"samples_per_voxel": 0}}"#, "/preintegration/samples_per_voxel"),
+            (r#"{"preintegration": {"lookup": "cubic"}}"#, "/preintegration/lookup"),
+            (r#"{"preintegration": {"table": "3d"}}"#, "/preintegration/table"),
+            (r#"{"blend": "sum"}"#, "/blend"),
+            (r#"{"window": {"center": 40, "width": 400}}"#, "/window"),
+            (r#"{"blend": "maximum", "window": {"center": 40}}"#, "/window"),
+            (r#"{"blend": "maximum", "window": {"center": 40, "width": 0}}"#, "/window/width"),
+            (r#"{"depth_cueing": {"front": -1}}"#, "/depth_cueing/front"),
+            (r#"{"depth_cueing": {"fog": 1}}"#, "/depth_cueing/fog"),
         ];
         for (text, pointer) in cases {
             assert_eq!(refused(json(text)), [pointer], "{text}");
@@ -310,22 +330,6 @@ mod tests {
     }
 
     #[test]
-    fn what_this_version_does_not_do_is_refused_and_said_so() {
-        for (text, pointer) in [
-            (r#"{"algorithm": "preintegrated"}"#, "/algorithm"),
-            (r#"{"algorithm": "fast-classification", "min_opacity": 0.1}"#, "/algorithm"),
-            (r#"{"blend": "maximum"}"#, "/blend"),
-            (r#"{"window": {"center": 40, "width": 400}}"#, "/window"),
-            (r#"{"depth_cueing": {"front": 1, "density": 1}}"#, "/depth_cueing"),
-            (r#"{"preintegration": {"entries": 256}}"#, "/preintegration"),
-        ] {
-            let refusal = json(text).unwrap_err();
-            assert!(refusal.to_string().contains("not supported by this version"), "{refusal}");
-            assert_eq!(refused(Err(refusal)), [pointer]);
-        }
-    }
-
-    #[test]
     fn wrong_parameters_are_named_as_the_client_wrote_them() {
         for (query, pointer) in [
             ("azimuth=inf", "/azimuth"),
@@ -338,7 +342,8 @@ mod tests {
             ("background=red", "/background"),
             ("projection=fisheye", "/projection"),
             ("quality=best", "/quality"),
-            ("algorithm=preintegrated", "/algorithm"),
+            ("algorithm=magic", "/algorithm"),
+            ("blend=product", "/blend"),
             ("format=png", "/format"),
             ("a%2Fb=1", "/a~1b"),
         ] {

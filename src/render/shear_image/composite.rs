@@ -163,21 +163,19 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             self.ends(packet, state, [from, to], front, back);
             return;
         }
+        let mut slabs = [Vec4::ZERO; LANES];
         for lane in 0..LANES {
-            if state.open >> lane & 1 == 1 {
-                let slab = self.table.slab(front[lane], back[lane]);
-                if slab.w > 0.0 {
-                    self.blend(packet, state, lane, 0.5 * (from + to), slab, 1.0);
-                }
-            }
+            slabs[lane] = self.table.slab(front[lane], back[lane]);
         }
+        self.blend(packet, state, &[0.5 * (from + to); LANES], slabs, &[1.0; LANES]);
     }
 
     /// Slabs some of which are cut by an end of their ray.
     #[inline(never)]
     fn ends(&self, packet: &Packet, state: &mut State, [from, to]: [f32; 2], front: &Lanes, back: &Lanes) {
-        let open = state.open;
-        for lane in (0..LANES).filter(|lane| open >> lane & 1 == 1) {
+        let mut slabs = [Vec4::ZERO; LANES];
+        let (mut middles, mut shares) = ([from; LANES], [1.0; LANES]);
+        for lane in 0..LANES {
             let (enter, leave) = (packet.enter[lane].max(from), packet.leave[lane].min(to));
             if enter >= leave {
                 continue;
@@ -190,45 +188,96 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                     self.table.coordinate(sampler.scalar(sampler.position(packet, lane, t)))
                 }
             };
-            let slab = self.table.slab(coordinate(enter, from, front[lane]), coordinate(leave, to, back[lane]));
-            if slab.w > 0.0 {
-                self.blend(packet, state, lane, 0.5 * (enter + leave), slab, (leave - enter) / (to - from));
-            }
+            slabs[lane] = self.table.slab(coordinate(enter, from, front[lane]), coordinate(leave, to, back[lane]));
+            middles[lane] = 0.5 * (enter + leave);
+            shares[lane] = (leave - enter) / (to - from);
         }
+        self.blend(packet, state, &middles, slabs, &shares);
     }
 
-    /// Puts a slab around slice position `t` behind a lane's pixel; `share` is its length in the table's.
+    /// Puts slabs around slice positions behind their lanes' pixels; `shares` are their lengths in the
+    /// table's.
     #[inline(always)]
-    fn blend(&self, packet: &Packet, state: &mut State, lane: usize, t: f32, slab: Vec4, share: f32) {
-        let mut gradient = glam::Vec3::ZERO;
-        if LIT || (SCALED && self.walk.gradient_opacity.is_some()) {
-            let sampler = &self.walk.sampler;
-            gradient = self.walk.gradient * sampler.differences(sampler.position(packet, lane, t));
+    fn blend(&self, packet: &Packet, state: &mut State, middles: &Lanes, mut slabs: [Vec4; LANES], shares: &Lanes) {
+        // Which lanes show something?
+        let mut shown = 0;
+        for lane in 0..LANES {
+            shown |= u32::from(slabs[lane].w > 0.0) << lane;
         }
-        let mut sample = slab;
-        if SCALED {
-            let mut scale = state.ratio[lane] * share;
-            if let Some(transfer) = self.walk.gradient_opacity {
-                scale *= transfer.gradient_factor(f64::from(gradient.length())) as f32;
-            }
-            let opacity = opacity(slab.w * scale);
-            sample = (slab * (opacity / slab.w)).with_w(opacity);
-        } else if share != 1.0 {
-            let opacity = 1.0 - (1.0 - slab.w).powf(share);
-            sample = (slab * (opacity / slab.w)).with_w(opacity);
+        shown &= state.open;
+        if shown == 0 {
+            return;
         }
-        let opacity = sample.w;
+        let gradients = if LIT || (SCALED && self.walk.gradient_opacity.is_some()) {
+            self.gradients(packet, middles, shown)
+        } else {
+            [[0.0; LANES]; 3]
+        };
+        self.scale(state, &gradients, &mut slabs, shares);
         if LIT && let Some(lighting) = self.walk.lighting {
-            let [factor, addend] = lighting.shade(gradient, packet.to_eye[lane]);
-            sample = (sample * factor + Vec4::splat(addend * opacity)).min(Vec4::splat(opacity));
+            let [factors, addends] = lighting.shade(&gradients, &packet.to_eye);
+            for lane in 0..LANES {
+                let opacity = Vec4::splat(slabs[lane].w);
+                let lit = (slabs[lane] * factors[lane] + opacity * addends[lane]).min(opacity);
+                slabs[lane] = lit.with_w(slabs[lane].w);
+            }
         }
         if let Some(DepthCueing { front, density }) = self.walk.depth_cueing {
-            let depth = packet.depth[0][lane] + t * packet.depth[1][lane];
-            sample *= front as f32 * (-(density as f32) * depth).exp();
+            for lane in 0..LANES {
+                let depth = packet.depth[0][lane] + middles[lane] * packet.depth[1][lane];
+                let cued = slabs[lane] * (front as f32 * (-(density as f32) * depth).exp());
+                slabs[lane] = cued.with_w(slabs[lane].w);
+            }
         }
-        let pixel = &mut state.pixels[lane];
-        *pixel += sample.with_w(opacity) * (1.0 - pixel.w);
-        state.open &= !(u32::from(pixel.w >= self.walk.opaque) << lane);
+        let mut opaque = 0;
+        for lane in 0..LANES {
+            let pixel = state.pixels[lane];
+            let behind = pixel + slabs[lane] * (1.0 - pixel.w);
+            state.pixels[lane] = if shown >> lane & 1 == 1 { behind } else { pixel };
+            opaque |= u32::from(behind.w >= self.walk.opaque) << lane;
+        }
+        state.open &= !(opaque & shown);
+    }
+
+    /// World gradients of the lanes that are `shown`, by component.
+    #[inline(always)]
+    fn gradients(&self, packet: &Packet, middles: &Lanes, mut shown: u32) -> [Lanes; 3] {
+        let sampler = &self.walk.sampler;
+        let mut gradients = [[0.0; LANES]; 3];
+        while shown != 0 {
+            let lane = shown.trailing_zeros() as usize % LANES;
+            shown &= shown - 1;
+            let gradient = self.walk.gradient * sampler.differences(sampler.position(packet, lane, middles[lane]));
+            [gradients[0][lane], gradients[1][lane], gradients[2][lane]] = gradient.to_array();
+        }
+        gradients
+    }
+
+    /// Makes opacities of what was looked up for the lengths and gradients that slabs really have.
+    #[inline(always)]
+    fn scale(&self, state: &State, gradients: &[Lanes; 3], slabs: &mut [Vec4; LANES], shares: &Lanes) {
+        if SCALED {
+            for lane in 0..LANES {
+                let mut scale = state.ratio[lane] * shares[lane];
+                if let Some(transfer) = self.walk.gradient_opacity {
+                    let [x, y, z] = [gradients[0][lane], gradients[1][lane], gradients[2][lane]];
+                    let magnitude = (x * x + y * y + z * z).sqrt();
+                    scale *= transfer.gradient_factor(f64::from(magnitude)) as f32;
+                }
+                let depth = slabs[lane].w;
+                let opacity = opacity(depth * scale);
+                let color = if depth > 0.0 { opacity / depth } else { 0.0 };
+                slabs[lane] = (slabs[lane] * color).with_w(opacity);
+            }
+        } else {
+            for lane in 0..LANES {
+                let whole = slabs[lane].w;
+                if shares[lane] != 1.0 && whole > 0.0 {
+                    let opacity = 1.0 - (1.0 - whole).powf(shares[lane]);
+                    slabs[lane] = (slabs[lane] * (opacity / whole)).with_w(opacity);
+                }
+            }
+        }
     }
 }
 

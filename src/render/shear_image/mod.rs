@@ -21,6 +21,9 @@
 //! The first and the last slab of a ray end where it enters and leaves the volume's box and the view's
 //! clip planes, exactly.
 
+// Lanes of several arrays are walked together, and closures of iterators are not inlined into the wide entry.
+#![allow(clippy::needless_range_loop)]
+
 mod composite;
 mod packet;
 mod projection;

@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use glam::{DMat4, DVec3, Vec3};
+use glam::{DMat4, DVec3};
 
 use crate::render::view::{HalfSpace, Rays, View};
 use crate::volume::Volume;
@@ -64,8 +64,8 @@ pub struct Packet {
     pub leave: Lanes,
     /// Length of the ray from a slice to the next, mm.
     pub length: Lanes,
-    /// Unit vector towards the eye, world.
-    pub to_eye: [Vec3; LANES],
+    /// Unit vector towards the eye, world, by component.
+    pub to_eye: [Lanes; 3],
     /// Depth 0..1 where t = 0, and from a slice to the next.
     pub depth: [Lanes; 2],
 }
@@ -164,7 +164,7 @@ impl IndexRays {
             enter: [f32::INFINITY; LANES],
             leave: [f32::NEG_INFINITY; LANES],
             length: [0.0; LANES],
-            to_eye: [Vec3::ZERO; LANES],
+            to_eye: [[0.0; LANES]; 3],
             depth: [[0.0; LANES]; 2],
         };
         let mut any = false;
@@ -185,7 +185,9 @@ impl IndexRays {
             let step = self.world_from_index.transform_vector3(per_slice);
             let length = step.length();
             packet.length[lane] = length as f32;
-            packet.to_eye[lane] = (step / -length).as_vec3();
+            for axis in 0..3 {
+                packet.to_eye[axis][lane] = (step[axis] / -length) as f32;
+            }
             packet.depth[0][lane] = (self.depth.normal.dot(at_first) + self.depth.offset) as f32;
             packet.depth[1][lane] = self.depth.normal.dot(per_slice) as f32;
         }

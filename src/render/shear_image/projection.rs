@@ -222,12 +222,16 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
         let skip = &self.walk.skip;
         while layer < end {
             let leaf_end = skip.leaf_end(packet, layer).min(end);
-            let matters = |leaf: usize| {
-                let range = octree.leaf(leaf);
-                (0..LANES).any(|lane| open >> lane & 1 == 1 && self.reduce.matters(range, found[lane]))
-            };
-            if skip.any_leaf(packet, layer, leaf_end, matters) {
-                return layer;
+            let touched = skip.leaves(packet, layer, leaf_end);
+            for j in 0..touched.counts[1] {
+                for i in 0..touched.counts[0] {
+                    let range = octree.leaf(touched.at(i, j));
+                    for lane in 0..LANES {
+                        if open >> lane & 1 == 1 && self.reduce.matters(range, found[lane]) {
+                            return layer;
+                        }
+                    }
+                }
             }
             layer = leaf_end;
         }

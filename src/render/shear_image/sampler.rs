@@ -182,40 +182,71 @@ impl<'a, T: Code> Sampler<'a, T> {
     /// [`GradientFrame`](crate::volume::gradient::GradientFrame) takes.
     #[inline(always)]
     pub fn differences(&self, at: Vec3) -> Vec3 {
-        let ([x, y, z], f) = self.cell(at);
-        // Rows y - 1 to y + 2 of slices z - 1 to z + 2, but for the corners; indices clamped at the border.
+        let (cell, f) = self.cell(at);
         let [nx, ny, nz] = self.dims;
-        let y = [y.saturating_sub(1) * nx, y * nx, (y + 1) * nx, (y + 2).min(ny - 1) * nx];
-        let z = [z.saturating_sub(1) * nx * ny, z * nx * ny, (z + 1) * nx * ny, (z + 2).min(nz - 1) * nx * ny];
-        let (r11, r21, r12, r22) =
-            (self.row(x, z[1] + y[1]), self.row(x, z[1] + y[2]), self.row(x, z[2] + y[1]), self.row(x, z[2] + y[2]));
-        let (r01, r31, r02, r32) =
-            (self.row(x, z[1] + y[0]), self.row(x, z[1] + y[3]), self.row(x, z[2] + y[0]), self.row(x, z[2] + y[3]));
-        let (r10, r13, r20, r23) =
-            (self.row(x, z[0] + y[1]), self.row(x, z[3] + y[1]), self.row(x, z[0] + y[2]), self.row(x, z[3] + y[2]));
+        let [x, y, z] = cell;
+        let inner = x >= 1 && x + 2 < nx && y >= 1 && y + 2 < ny && z >= 1 && z + 2 < nz;
+        if inner { self.inner_rows(cell).differences(f) } else { self.border_rows(cell).differences(f) }
+    }
+
+    /// The rows around a cell that is not at the border.
+    #[inline(always)]
+    fn inner_rows(&self, [x, y, z]: [usize; 3]) -> Rows {
+        let [nx, ny, _] = self.dims;
+        let first = ((z - 1) * ny + (y - 1)) * nx + (x - 1);
+        let codes = &self.codes[first..];
+        let row = |y: usize, z: usize| {
+            let row = &codes[(z * ny + y) * nx..][..4];
+            Vec4::new(row[0].as_f32(), row[1].as_f32(), row[2].as_f32(), row[3].as_f32())
+        };
+        Rows {
+            cell: [row(1, 1), row(2, 1), row(1, 2), row(2, 2)],
+            beside_y: [row(0, 1), row(3, 1), row(0, 2), row(3, 2)],
+            beside_z: [row(1, 0), row(1, 3), row(2, 0), row(2, 3)],
+        }
+    }
+
+    /// The rows around any cell.
+    #[inline(never)]
+    fn border_rows(&self, [x, y, z]: [usize; 3]) -> Rows {
+        let [nx, ny, nz] = self.dims;
+        // Of -1, 0, 1, 2 from the cell on.
+        let clamped = |cell: usize, n: usize, size: usize| (cell + n).saturating_sub(1).min(size - 1);
+        let row = |j: usize, k: usize| {
+            let first = (clamped(z, k, nz) * ny + clamped(y, j, ny)) * nx;
+            Vec4::from_array([0, 1, 2, 3].map(|i| self.codes[first + clamped(x, i, nx)].as_f32()))
+        };
+        Rows {
+            cell: [row(1, 1), row(2, 1), row(1, 2), row(2, 2)],
+            beside_y: [row(0, 1), row(3, 1), row(0, 2), row(3, 2)],
+            beside_z: [row(1, 0), row(1, 3), row(2, 0), row(2, 3)],
+        }
+    }
+}
+
+/// What a gradient is made of: stretches of four voxels, from the one before a cell to the one after it.
+struct Rows {
+    /// Through the cell's corners (y, z): (0, 0), (1, 0), (0, 1), (1, 1).
+    cell: [Vec4; 4],
+    /// At (-1, 0), (2, 0), (-1, 1), (2, 1).
+    beside_y: [Vec4; 4],
+    /// At (0, -1), (0, 2), (1, -1), (1, 2).
+    beside_z: [Vec4; 4],
+}
+
+impl Rows {
+    #[inline(always)]
+    fn differences(&self, f: Vec3) -> Vec3 {
         let g = Vec3::ONE - f;
-        let along_x = (r11 * g.y + r21 * f.y) * g.z + (r12 * g.y + r22 * f.y) * f.z;
-        let along_y = ((r21 - r01) * g.y + (r31 - r11) * f.y) * g.z + ((r22 - r02) * g.y + (r32 - r12) * f.y) * f.z;
-        let along_z = ((r12 - r10) * g.z + (r13 - r11) * f.z) * g.y + ((r22 - r20) * g.z + (r23 - r21) * f.z) * f.y;
+        let Self { cell: [r00, r10, r01, r11], beside_y: [y00, y10, y01, y11], beside_z: [z00, z01, z10, z11] } = *self;
+        let along_x = (r00 * g.y + r10 * f.y) * g.z + (r01 * g.y + r11 * f.y) * f.z;
+        let along_y = ((r10 - y00) * g.y + (y10 - r00) * f.y) * g.z + ((r11 - y01) * g.y + (y11 - r01) * f.y) * f.z;
+        let along_z = ((r01 - z00) * g.z + (z01 - r00) * f.z) * g.y + ((r11 - z10) * g.z + (z11 - r10) * f.z) * f.y;
         Vec3::new(
             (along_x.z - along_x.x) * g.x + (along_x.w - along_x.y) * f.x,
             along_y.y * g.x + along_y.z * f.x,
             along_z.y * g.x + along_z.z * f.x,
         )
-    }
-
-    /// Voxels x - 1 to x + 2 of the scanline that begins at `first`, indices clamped at the border.
-    #[inline(always)]
-    fn row(&self, x: usize, first: usize) -> Vec4 {
-        let nx = self.dims[0];
-        let row = &self.codes[first..][..nx];
-        if x >= 1 && x + 2 < nx {
-            let inner = &row[x - 1..x + 3];
-            Vec4::new(inner[0].as_f32(), inner[1].as_f32(), inner[2].as_f32(), inner[3].as_f32())
-        } else {
-            let (before, after) = (row[x.saturating_sub(1)], row[(x + 2).min(nx - 1)]);
-            Vec4::new(before.as_f32(), row[x].as_f32(), row[x + 1].as_f32(), after.as_f32())
-        }
     }
 }
 

@@ -21,6 +21,23 @@ pub struct Skip<'a> {
     cells: Option<[AxisCells<'a>; 3]>,
 }
 
+/// Leaves that a packet touches: a rectangle of them.
+#[derive(Clone, Copy, Debug)]
+pub struct Leaves {
+    first: usize,
+    /// Along `i` and `j`.
+    pub counts: [usize; 2],
+    steps: [usize; 2],
+}
+
+impl Leaves {
+    /// The index of a leaf in the octree.
+    #[inline(always)]
+    pub fn at(&self, i: usize, j: usize) -> usize {
+        self.first + i * self.steps[0] + j * self.steps[1]
+    }
+}
+
 impl<'a> Skip<'a> {
     /// By leaves and, where they are there, by runs of cells of a volume of `dims` voxels.
     pub fn new(dims: [usize; 3], classification: &'a Classification, encodings: Option<&'a Encodings>) -> Self {
@@ -40,7 +57,14 @@ impl<'a> Skip<'a> {
         let Some(leaves) = self.leaves else { return layer };
         while layer < end {
             let leaf_end = self.leaf_end(packet, layer).min(end);
-            if !self.any_leaf(packet, layer, leaf_end, |leaf| leaves[leaf]) {
+            let touched = self.leaves(packet, layer, leaf_end);
+            let mut shows = false;
+            for j in 0..touched.counts[1] {
+                for i in 0..touched.counts[0] {
+                    shows |= leaves[touched.at(i, j)];
+                }
+            }
+            if !shows {
                 layer = leaf_end;
                 continue;
             }
@@ -76,22 +100,23 @@ impl<'a> Skip<'a> {
         }
     }
 
-    /// Asks of the leaves that the packet touches from `layer` to `end`, which are within one, until one
-    /// answers yes.
+    /// The leaves that the packet touches from `layer` to `end`, which are within one: the first, and how
+    /// many along `i` and `j`, with the steps between them.
     #[inline(always)]
-    pub fn any_leaf(&self, packet: &Packet, layer: usize, end: usize, ask: impl Fn(usize) -> bool) -> bool {
+    pub fn leaves(&self, packet: &Packet, layer: usize, end: usize) -> Leaves {
         let [i, j] = IN_SLICE[packet.axis];
         let span = [layer as f32, end as f32];
         let (ni, nj) = (self.dims[i], self.dims[j]);
         let [first_i, last_i] = packet.bounds(0, span, ni - 1);
         let [first_j, last_j] = packet.bounds(1, span, nj - 1);
-        let along_i = [leaf_of(first_i, ni), leaf_of(last_i, ni)];
-        let along_j = [leaf_of(first_j, nj), leaf_of(last_j, nj)];
-        let strides = self.leaf_strides;
-        let slice = leaf_of(self.stored(packet, layer), self.dims[packet.axis]) * strides[packet.axis];
-        (along_j[0]..=along_j[1]).any(|leaf_j| {
-            (along_i[0]..=along_i[1]).any(|leaf_i| ask(slice + leaf_i * strides[i] + leaf_j * strides[j]))
-        })
+        let (li, lj) = (leaf_of(first_i, ni), leaf_of(first_j, nj));
+        let slice = leaf_of(self.stored(packet, layer), self.dims[packet.axis]) * self.leaf_strides[packet.axis];
+        let steps = [self.leaf_strides[i], self.leaf_strides[j]];
+        Leaves {
+            first: slice + li * steps[0] + lj * steps[1],
+            counts: [leaf_of(last_i, ni) - li + 1, leaf_of(last_j, nj) - lj + 1],
+            steps,
+        }
     }
 
     /// True where a cell that the packet touches in `layer` is marked.

@@ -7,12 +7,16 @@ use std::ops::{Bound, RangeBounds, RangeInclusive};
 use glam::{DMat4, DVec3};
 
 use super::fields::{
-    CameraFields, Either, Fields, ImageFields, LightName, LookAtFields, MatricesFields, ShadingFields,
+    Blend, CameraFields, DepthCueingFields, Either, Fields, ImageFields, LightName, LookAtFields, MatricesFields,
+    PreintegrationFields, ShadingFields, WindowFields,
 };
 use super::{AlgorithmChoice, InvalidField, RenderRequest, ShadingChoice, Spelling, Transfer};
 use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
-use crate::render::{Background, Camera, Light, LookAt, Orbit, Projection, Quality, Shading};
+use crate::render::{
+    Background, Camera, DepthCueing, IntensityProjection, Light, LookAt, Orbit, Preintegration, Projection, Quality,
+    Shading, SlabTable, Window,
+};
 
 /// Degrees: beyond, a float's steps show as jumps of the camera.
 const ANGLE: RangeInclusive<f64> = -1e6..=1e6;
@@ -31,6 +35,15 @@ const EARLY_RAY_TERMINATION: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), B
 const MIN_OPACITY: std::ops::Range<f64> = 0.0..1.0;
 /// Smallest spacings: finer is a long wait for nothing, coarser skips the volume.
 const SAMPLE_DISTANCE: RangeInclusive<f64> = 0.01..=8.0;
+/// Window centres and widths: any value of a file, and widths above what divides to infinity.
+const WINDOW_CENTER: RangeInclusive<f64> = -1e12..=1e12;
+const WINDOW_WIDTH: RangeInclusive<f64> = 1e-6..=1e12;
+const CUE_FRONT: RangeInclusive<f64> = 0.0..=10.0;
+const CUE_DENSITY: RangeInclusive<f64> = 0.0..=100.0;
+/// A two-dimensional table of 1024 entries takes 16 MiB.
+const ENTRIES: RangeInclusive<f64> = 2.0..=1024.0;
+/// Beyond, slabs are shorter than what 8-bit pixels tell apart.
+const SAMPLES_PER_VOXEL: RangeInclusive<f64> = 1.0..=8.0;
 const DEFAULT_SIDE: u32 = 512;
 
 pub const NO_AZIMUTH: &str = "expected an orbit camera: frames around the vertical axis start from its azimuth";
@@ -40,7 +53,7 @@ pub const NO_AZIMUTH: &str = "expected an orbit camera: frames around the vertic
 /// # Errors
 /// Every field at fault.
 pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
-    let mut refusals = Refusals(fields.refuse_unsupported());
+    let mut refusals = Refusals(vec![]);
     refusals.options_of_algorithms(&fields);
     let camera = refusals.camera(&fields.camera);
     let (width, height, format, background) = refusals.image(&fields.image);
@@ -49,6 +62,9 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     refusals.range("/early_ray_termination", fields.early_ray_termination, EARLY_RAY_TERMINATION);
     refusals.range("/min_opacity", fields.min_opacity, MIN_OPACITY);
     refusals.range("/sample_distance", fields.sample_distance, SAMPLE_DISTANCE);
+    let (projection, window) = refusals.blend(fields.blend, fields.window.as_ref());
+    let preintegration = refusals.preintegration(fields.quality, fields.preintegration.as_ref());
+    let depth_cueing = fields.depth_cueing.as_ref().map(|cueing| refusals.depth_cueing(cueing));
     let request = RenderRequest {
         camera,
         width,
@@ -62,6 +78,10 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
         early_ray_termination: fields.early_ray_termination,
         min_opacity: fields.min_opacity,
         sample_distance: fields.sample_distance,
+        projection,
+        window,
+        preintegration,
+        depth_cueing,
         spelling: Spelling::Json,
     };
     if refusals.0.is_empty() { Ok(request) } else { Err(refusals.0) }
@@ -281,17 +301,64 @@ impl Refusals {
         Light::Directional { direction: direction.unwrap_or(DVec3::Z), intensity: light.intensity.unwrap_or(1.0) }
     }
 
-    /// Options that another algorithm would not look at. `auto` may come to need any of them.
+    fn blend(
+        &mut self,
+        blend: Option<Blend>,
+        window: Option<&WindowFields>,
+    ) -> (Option<IntensityProjection>, Option<Window>) {
+        let projection = match blend {
+            None | Some(Blend::Composite) => None,
+            Some(Blend::Maximum) => Some(IntensityProjection::Maximum),
+            Some(Blend::Minimum) => Some(IntensityProjection::Minimum),
+            Some(Blend::Average) => Some(IntensityProjection::Average),
+        };
+        let Some(&WindowFields { center, width }) = window else { return (projection, None) };
+        if projection.is_none() {
+            self.refuse("/window", "belongs to the blends maximum, minimum and average");
+        }
+        self.range("/window/center", Some(center), WINDOW_CENTER);
+        self.range("/window/width", Some(width), WINDOW_WIDTH);
+        (projection, Some(Window { center, width }))
+    }
+
+    fn depth_cueing(&mut self, fields: &DepthCueingFields) -> DepthCueing {
+        self.range("/depth_cueing/front", fields.front, CUE_FRONT);
+        self.range("/depth_cueing/density", fields.density, CUE_DENSITY);
+        DepthCueing { front: fields.front.unwrap_or(1.0), density: fields.density.unwrap_or(1.0) }
+    }
+
+    fn preintegration(&mut self, quality: Quality, fields: Option<&PreintegrationFields>) -> Preintegration {
+        let default = Preintegration::of(quality);
+        let Some(fields) = fields else { return default };
+        self.range("/preintegration/entries", fields.entries.map(f64::from), ENTRIES);
+        let samples = fields.samples_per_voxel.map(f64::from);
+        self.range("/preintegration/samples_per_voxel", samples, SAMPLES_PER_VOXEL);
+        Preintegration {
+            table: fields.table.map_or(default.table, SlabTable::from),
+            entries: fields.entries.map_or(default.entries, |n| n as usize),
+            lookup: fields.lookup.unwrap_or(default.lookup),
+            opacity_correction: fields.opacity_correction.unwrap_or(default.opacity_correction),
+            buffer: fields.buffer.unwrap_or(default.buffer),
+            samples_per_voxel: fields.samples_per_voxel.map_or(default.samples_per_voxel, |n| n as usize),
+        }
+    }
+
+    /// Options that another algorithm would not look at. `auto` may come to need any of them; what counts
+    /// as transparent may be told to `preintegrated`, which skips exact zeros only.
     fn options_of_algorithms(&mut self, fields: &Fields) {
-        use AlgorithmChoice::{Auto, Classified, FastClassification, Raycast};
-        if fields.min_opacity.is_some() && !matches!(fields.algorithm, Auto | Classified | FastClassification) {
+        use AlgorithmChoice::{Auto, Classified, FastClassification, Preintegrated, Raycast};
+        let algorithm = fields.algorithm;
+        if fields.min_opacity.is_some() && algorithm == Raycast {
             self.refuse("/min_opacity", "belongs to classified and fast-classification");
         }
-        if fields.sample_distance.is_some() && !matches!(fields.algorithm, Auto | Raycast) {
+        if fields.sample_distance.is_some() && !matches!(algorithm, Auto | Raycast) {
             self.refuse("/sample_distance", "belongs to raycast");
         }
-        if fields.quality == Quality::High && fields.algorithm == Classified {
-            self.refuse("/quality", "classified renders draft and standard only");
+        if fields.preintegration.is_some() && !matches!(algorithm, Auto | Preintegrated) {
+            self.refuse("/preintegration", "belongs to preintegrated");
+        }
+        if fields.quality == Quality::High && matches!(algorithm, Classified | FastClassification) {
+            self.refuse("/quality", "classified and fast-classification render draft and standard only");
         }
     }
 }

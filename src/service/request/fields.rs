@@ -4,11 +4,11 @@ use std::fmt;
 use std::marker::PhantomData;
 
 use serde::de::value::{BoolDeserializer, MapAccessDeserializer, StrDeserializer};
-use serde::de::{self, Deserialize, Deserializer, IgnoredAny, MapAccess, Visitor};
+use serde::de::{self, Deserialize, Deserializer, MapAccess, Visitor};
 
-use super::{AlgorithmChoice, InvalidField};
+use super::AlgorithmChoice;
 use crate::classify::TransferFunction;
-use crate::render::{Projection, Quality};
+use crate::render::{BufferSlice, Lookup, OpacityCorrection, Projection, Quality, SlabTable};
 
 #[derive(Default, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -18,14 +18,14 @@ pub struct Fields {
     pub transfer_function: Option<Either<String, TransferFunction>>,
     pub shading: Option<Either<bool, ShadingFields>>,
     pub blend: Option<Blend>,
-    pub window: Option<IgnoredAny>,
+    pub window: Option<WindowFields>,
     pub algorithm: AlgorithmChoice,
     pub quality: Quality,
     pub early_ray_termination: Option<f64>,
     pub min_opacity: Option<f64>,
     pub sample_distance: Option<f64>,
-    pub depth_cueing: Option<IgnoredAny>,
-    pub preintegration: Option<IgnoredAny>,
+    pub depth_cueing: Option<DepthCueingFields>,
+    pub preintegration: Option<PreintegrationFields>,
 }
 
 #[derive(Default, serde::Deserialize)]
@@ -107,7 +107,7 @@ pub struct LightFields {
     pub intensity: Option<f64>,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[derive(Clone, Copy, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Blend {
     Composite,
@@ -116,20 +116,45 @@ pub enum Blend {
     Average,
 }
 
-impl Fields {
-    /// Fields of the API that this version does not do yet, each with whether the request uses it.
-    pub fn refuse_unsupported(&self) -> Vec<InvalidField> {
-        let algorithm = matches!(self.algorithm, AlgorithmChoice::FastClassification | AlgorithmChoice::Preintegrated);
-        let asked = [
-            ("/algorithm", algorithm),
-            ("/blend", self.blend.is_some_and(|blend| blend != Blend::Composite)),
-            ("/window", self.window.is_some()),
-            ("/depth_cueing", self.depth_cueing.is_some()),
-            ("/preintegration", self.preintegration.is_some()),
-        ];
-        let refusal =
-            |pointer: &str| InvalidField { pointer: pointer.into(), detail: "not supported by this version".into() };
-        asked.into_iter().filter(|(_, used)| *used).map(|(pointer, _)| refusal(pointer)).collect()
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WindowFields {
+    pub center: f64,
+    pub width: f64,
+}
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DepthCueingFields {
+    pub front: Option<f64>,
+    pub density: Option<f64>,
+}
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PreintegrationFields {
+    pub table: Option<SlabTableName>,
+    pub entries: Option<u32>,
+    pub lookup: Option<Lookup>,
+    pub opacity_correction: Option<OpacityCorrection>,
+    pub buffer: Option<BufferSlice>,
+    pub samples_per_voxel: Option<u32>,
+}
+
+#[derive(Clone, Copy, serde::Deserialize)]
+pub enum SlabTableName {
+    #[serde(rename = "1d")]
+    OneDimensional,
+    #[serde(rename = "2d")]
+    TwoDimensional,
+}
+
+impl From<SlabTableName> for SlabTable {
+    fn from(name: SlabTableName) -> Self {
+        match name {
+            SlabTableName::OneDimensional => Self::OneDimensional,
+            SlabTableName::TwoDimensional => Self::TwoDimensional,
+        }
     }
 }
 

@@ -35,7 +35,7 @@ const fn option(name: &'static str, kind: Kind, field: &'static str, help: &'sta
 }
 
 /// Every short name.
-pub const OPTIONS: [RequestOption; 13] = [
+pub const OPTIONS: [RequestOption; 14] = [
     option(
         "azimuth",
         Kind::Number,
@@ -52,8 +52,9 @@ pub const OPTIONS: [RequestOption; 13] = [
     option("background", Kind::Color, "image/background", "#rrggbb, rrggbb or transparent"),
     option("preset", Kind::Text, "transfer_function", "Name of a transfer function"),
     option("shading", Kind::Flag, "shading", "true or false"),
-    option("algorithm", Kind::Text, "algorithm", "auto, classified or raycast"),
+    option("algorithm", Kind::Text, "algorithm", "auto, classified, fast-classification, preintegrated or raycast"),
     option("quality", Kind::Text, "quality", "draft, standard or high"),
+    option("blend", Kind::Text, "blend", "composite, maximum, minimum or average"),
 ];
 
 /// Sets the fields that a query string names.

@@ -4,7 +4,9 @@ use super::{AlgorithmChoice, InvalidField, RenderRequest, RequestError, ShadingC
 use crate::classify::presets::{self, FittedPresets};
 use crate::classify::{Purpose, TransferFunction};
 use crate::encode::Format;
-use crate::render::{self, Algorithm, Blend, Projection, Quality, RenderError, Settings, Shading, View};
+use crate::render::{
+    self, Algorithm, Blend, BufferSlice, Preintegration, RenderError, Settings, Shading, View, Window,
+};
 use crate::volume::Volume;
 
 /// Half of what shows in one voxel on an 8-bit display.
@@ -67,7 +69,7 @@ impl RenderRequest {
         let view = self.view(volume)?;
         let (mut transfer, shaded) = self.transfer(presets)?;
         transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
-        let algorithm = self.algorithm(&view);
+        let algorithm = self.algorithm();
         let shading = match &self.shading {
             ShadingChoice::Automatic => shaded.then(Shading::default),
             ShadingChoice::Off => None,
@@ -75,6 +77,9 @@ impl RenderRequest {
         };
         let defaults = Settings::new(algorithm, self.quality);
         let settings = Settings {
+            blend: self.projection.map_or(Blend::Composite, |which| Blend::Projection(which, self.window(volume))),
+            preintegration: self.preintegration,
+            depth_cueing: self.depth_cueing,
             background: self.background,
             shading,
             early_ray_termination: self.early_ray_termination.map_or(defaults.early_ray_termination, |t| t as f32),
@@ -120,14 +125,20 @@ impl RenderRequest {
         }
     }
 
+    /// What a projection shows from black to white.
+    fn window(&self, volume: &Volume) -> Window {
+        let (low, high) = volume.value_range();
+        let width = if high > low { high - low } else { 1.0 };
+        self.window.unwrap_or(Window { center: low + width / 2.0, width })
+    }
+
     /// `auto` is resolved from the request alone.
-    fn algorithm(&self, view: &View) -> Algorithm {
+    fn algorithm(&self) -> Algorithm {
         match self.algorithm {
+            AlgorithmChoice::Auto | AlgorithmChoice::Preintegrated => Algorithm::Preintegrated,
             AlgorithmChoice::Classified => Algorithm::Classified,
-            AlgorithmChoice::Preintegrated => Algorithm::Preintegrated,
-            AlgorithmChoice::Auto if self.quality == Quality::High => Algorithm::Preintegrated,
-            AlgorithmChoice::Auto if view.projection() == Projection::Parallel => Algorithm::Classified,
-            _ => Algorithm::Raycast,
+            AlgorithmChoice::FastClassification => Algorithm::FastClassification,
+            AlgorithmChoice::Raycast => Algorithm::Raycast,
         }
     }
 }
@@ -147,19 +158,39 @@ impl ResolvedRequest {
     /// All that the pixels depend on besides the volume, as text: the same for requests that mean the
     /// same, however they were written. The format is left out, being known only after negotiation.
     pub fn canonical(&self) -> String {
-        let Settings { algorithm, background, shading, early_ray_termination, sample_distance, .. } = &self.settings;
-        let option = match algorithm {
-            Algorithm::Classified | Algorithm::FastClassification => format!("min_opacity {:?}", self.min_opacity),
-            Algorithm::Preintegrated => format!("{:?}", self.settings.preintegration),
-            Algorithm::Raycast => format!("sample_distance {sample_distance:?}"),
-        };
+        let Settings {
+            algorithm,
+            quality,
+            blend,
+            preintegration,
+            depth_cueing,
+            background,
+            shading,
+            early_ray_termination,
+            sample_distance,
+            skipping: _,
+        } = &self.settings;
         // Debug writes floats with as many digits as tell them apart.
-        format!(
-            "{:?} {} {option} early_ray_termination {early_ray_termination:?} {background:?} {shading:?} {:?}",
-            self.view,
-            algorithm.name(),
-            self.transfer
-        )
+        let view = format!("{:?} {background:?}", self.view);
+        let samples = match algorithm {
+            Algorithm::Classified => format!("classified {quality:?} min_opacity {:?}", self.min_opacity),
+            Algorithm::FastClassification => {
+                format!("fast-classification {quality:?} min_opacity {:?}", self.min_opacity)
+            }
+            // Either buffer gives the same pixels.
+            Algorithm::Preintegrated => {
+                let options = Preintegration { buffer: BufferSlice::Slice, ..*preintegration };
+                format!("preintegrated {quality:?} {options:?}")
+            }
+            Algorithm::Raycast => format!("raycast {sample_distance:?}"),
+        };
+        match blend {
+            Blend::Projection(..) => format!("{view} {samples} {blend:?}"),
+            Blend::Composite => format!(
+                "{view} {samples} early_ray_termination {early_ray_termination:?} {depth_cueing:?} {shading:?} {:?}",
+                self.transfer
+            ),
+        }
     }
 }
 
@@ -175,6 +206,7 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::render::IntensityProjection;
     use crate::volume::{ImportReport, Placement, ScalarType, Scalars};
 
     const LIMITS: ImageLimits = ImageLimits { max_side: 4096, max_pixels: 4096 * 2048 };
@@ -200,7 +232,7 @@ mod tests {
     fn the_empty_request_has_every_default() {
         let resolved = resolve("{}").unwrap();
         assert_eq!(resolved.view.size(), (512, 512));
-        assert_eq!(resolved.settings.algorithm, Algorithm::Classified);
+        assert_eq!(resolved.settings.algorithm, Algorithm::Preintegrated);
         assert_eq!(resolved.settings.shading, Some(Shading::default()));
         assert_eq!(resolved.settings.early_ray_termination, 0.99);
         assert_eq!(resolved.min_opacity, 0.002);
@@ -209,12 +241,24 @@ mod tests {
     }
 
     #[test]
-    fn auto_is_classified_for_parallel_frames_below_high_quality() {
+    fn auto_is_preintegrated_whatever_the_view_and_the_quality() {
         let algorithm = |json| resolve(json).unwrap().settings.algorithm;
-        assert_eq!(algorithm(r#"{"quality": "draft"}"#), Algorithm::Classified);
-        assert_eq!(algorithm(r#"{"quality": "high"}"#), Algorithm::Raycast);
-        assert_eq!(algorithm(r#"{"camera": {"projection": "perspective"}}"#), Algorithm::Raycast);
+        assert_eq!(algorithm(r#"{"quality": "draft"}"#), Algorithm::Preintegrated);
+        assert_eq!(algorithm(r#"{"quality": "high"}"#), Algorithm::Preintegrated);
+        assert_eq!(algorithm(r#"{"camera": {"projection": "perspective"}}"#), Algorithm::Preintegrated);
         assert_eq!(algorithm(r#"{"algorithm": "raycast"}"#), Algorithm::Raycast);
+    }
+
+    #[test]
+    fn a_projection_shows_the_range_of_values_unless_told() {
+        let blend = |json| resolve(json).unwrap().settings.blend;
+        let window = Window { center: 104.5, width: 209.0 };
+        assert_eq!(blend(r#"{"blend": "maximum"}"#), Blend::Projection(IntensityProjection::Maximum, window));
+        let told = Window { center: 40.0, width: 400.0 };
+        assert_eq!(
+            blend(r#"{"blend": "average", "window": {"center": 40, "width": 400}}"#),
+            Blend::Projection(IntensityProjection::Average, told)
+        );
     }
 
     #[test]
@@ -235,7 +279,8 @@ mod tests {
             r#"{"camera": {"azimuth": -0.0, "zoom": 1.0}, "quality": "standard"}"#,
             r##"{"camera": {"azimuth": 360}, "image": {"background": "#000000", "format": "png", "width": 512.0}}"##,
             r#"{"early_ray_termination": 0.99, "min_opacity": 2e-3, "sample_distance": 3, "algorithm": "auto"}"#,
-            r#"{"shading": {"lights": ["headlight"]}, "algorithm": "classified"}"#,
+            r#"{"shading": {"lights": ["headlight"]}, "algorithm": "preintegrated", "blend": "composite"}"#,
+            r#"{"preintegration": {"entries": 256, "lookup": "bilinear"}}"#,
         ];
         for json in equal {
             assert_eq!(canonical(json), canonical("{}"), "{json}");
@@ -262,7 +307,14 @@ mod tests {
             r#"{"algorithm": "raycast"}"#,
             r#"{"algorithm": "raycast", "sample_distance": 0.4}"#,
             r#"{"early_ray_termination": 1}"#,
-            r#"{"min_opacity": 0}"#,
+            r#"{"algorithm": "classified"}"#,
+            r#"{"algorithm": "classified", "min_opacity": 0}"#,
+            r#"{"quality": "high"}"#,
+            r#"{"blend": "maximum"}"#,
+            r#"{"blend": "minimum"}"#,
+            r#"{"blend": "maximum", "window": {"center": 0, "width": 1}}"#,
+            r#"{"depth_cueing": {}}"#,
+            r#"{"preintegration": {"table": "1d"}}"#,
             r##"{"transfer_function": {"points": [{"value": 1, "opacity": 0.5, "color": "#ff0000"}]}}"##,
         ];
         let texts: std::collections::HashSet<_> =
@@ -293,12 +345,6 @@ mod tests {
         let zeros = [0; 16];
         let matrices = format!(r#"{{"camera": {{"matrices": {{"view": {zeros:?}, "projection": {zeros:?}}}}}}}"#);
         assert_eq!(pointer(resolve(&matrices)), "/camera/matrices/view");
-    }
-
-    #[test]
-    fn classified_refuses_perspective() {
-        let json = r#"{"algorithm": "classified", "camera": {"projection": "perspective"}}"#;
-        assert_eq!(pointer(resolve(json)), "/camera/projection");
     }
 
     #[test]
