@@ -17,6 +17,8 @@
 //! it all the slow way and tests hold both together bit for bit.
 
 pub mod footprint;
+mod ray_light;
+mod scaled;
 pub mod naive;
 mod rows;
 mod spans;
