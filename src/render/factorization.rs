@@ -32,7 +32,7 @@ use super::view::{HalfSpace, Rays, View};
 use crate::volume::Volume;
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
-const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
+pub const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
 
 /// An axis must beat another by this factor to become the principal one, so that a view between
 /// two axes does not flip from one to the other by rounding.
@@ -179,9 +179,8 @@ impl Factorization {
         }
     }
 
-    /// Where pixels meet slice `k`.
-    pub fn lattice(&self, k: usize) -> Lattice {
-        let k = k as f64;
+    /// Where pixels meet slice `k`, which may be between two slices of voxels.
+    pub fn lattice(&self, k: f64) -> Lattice {
         match self.shear {
             Shear::Parallel { per_slice, translation } => {
                 Lattice { offset: -(per_slice * k + translation), scale: 1.0 }
@@ -195,6 +194,12 @@ impl Factorization {
 
     /// Where slice `k` of a parallel view lies over the intermediate image.
     pub fn slice(&self, k: usize) -> SlicePlacement {
+        self.placement(k as f64)
+    }
+
+    /// Where a slice of a parallel view lies over the intermediate image that may be between two slices
+    /// of voxels.
+    pub fn placement(&self, k: f64) -> SlicePlacement {
         let offset = -self.lattice(k).offset / OFFSET_STEP;
         let offset = offset.round().max(DVec2::ZERO) * OFFSET_STEP;
         let first = offset.ceil();
@@ -207,10 +212,23 @@ impl Factorization {
         !self.clip.is_empty()
     }
 
-    /// The pixels u of scanline `v` of slice `k` that the view's clip planes leave.
-    pub fn visible_pixels(&self, v: usize, k: usize) -> Range<usize> {
+    /// The index coordinates (the volume's axes x, y, z) of pixel (u, v) of a slice, which may be
+    /// between two slices of voxels.
+    pub fn index_from_sheared(&self, u: f64, v: f64, k: f64) -> DVec3 {
         let Lattice { offset, scale } = self.lattice(k);
-        let start = DVec3::new(offset.x, offset.y + scale * v as f64, k as f64);
+        let in_slice = offset + DVec2::new(u, v) * scale;
+        let mut index = DVec3::ZERO;
+        for (axis, at) in PERMUTATIONS[self.principal_axis].into_iter().zip([in_slice.x, in_slice.y, k]) {
+            index[axis] = at;
+        }
+        index
+    }
+
+    /// The pixels u of scanline `v` that the view's clip planes leave of a slice, which may be between
+    /// two slices of voxels.
+    pub fn visible_pixels(&self, v: usize, k: f64) -> Range<usize> {
+        let Lattice { offset, scale } = self.lattice(k);
+        let start = DVec3::new(offset.x, offset.y + scale * v as f64, k);
         let (mut low, mut high) = (0.0, (self.size[0] - 1) as f64);
         for half in &self.clip {
             let rate = half.normal.x * scale;
@@ -230,6 +248,21 @@ impl Factorization {
     /// n - 1 intervals.
     pub fn is_outermost(&self, k: usize) -> bool {
         k == 0 || k == self.dims[2] - 1
+    }
+
+    /// The eye in voxel coordinates i, j, k; `None` where rays are parallel.
+    pub fn eye(&self) -> Option<DVec3> {
+        match self.shear {
+            Shear::Parallel { .. } => None,
+            Shear::Perspective { eye, .. } => Some(eye),
+        }
+    }
+
+    /// From a voxel to the next along i, j, k, world mm.
+    pub fn world_from_steps(&self, volume: &Volume) -> DMat3 {
+        let world_from_index = volume.world_from_index();
+        let [i, j, k] = PERMUTATIONS[self.principal_axis].map(|axis| world_from_index.col(axis).truncate());
+        DMat3::from_cols(i, j, k)
     }
 
     /// TEMPORARY

@@ -10,6 +10,7 @@ pub mod shade;
 mod shear_image;
 mod shear_warp;
 pub mod simd;
+pub mod slab;
 pub mod view;
 pub mod warp;
 
@@ -335,7 +336,7 @@ pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), Re
     match settings.way() {
         Way::ImageOrder | Way::ShearImage => Ok(()),
         Way::ShearWarp => match settings.algorithm {
-            Algorithm::FastClassification | Algorithm::Preintegrated => Err(RenderError::Unsupported {
+            Algorithm::FastClassification => Err(RenderError::Unsupported {
                 pointer: "/algorithm",
                 detail: format!("{} is not supported by this version", settings.algorithm.name()),
             }),

@@ -14,7 +14,7 @@ fn meets(view: &View, volume: &Volume, f: &Factorization, at: DVec2, k: usize) -
 
 /// The same through the intermediate image.
 fn meets_by_lattice(f: &Factorization, at: DVec2, k: usize) -> DVec2 {
-    let Lattice { offset, scale } = f.lattice(k);
+    let Lattice { offset, scale } = f.lattice(k as f64);
     let sheared = f.sheared_from_image * at.extend(1.0);
     offset + sheared.truncate() / sheared.z * scale
 }
@@ -165,8 +165,8 @@ fn the_front_slice_has_scale_one_and_lies_on_the_lattice() {
         let view = View::new(&Camera::Orbit(orbit), volume.centre(), volume.radius(), 100, 100).unwrap();
         let [f] = &Factorization::parts(&view, &volume).unwrap()[..] else { panic!("not one part") };
         let front = if f.reversed { f.dims[2] - 1 } else { 0 };
-        assert_eq!(f.lattice(front).scale, 1.0);
-        assert_eq!(f.lattice(front).offset, f.lattice(front).offset.round());
-        assert!((0..f.dims[2]).all(|k| f.lattice(k).scale >= 1.0));
+        assert_eq!(f.lattice(front as f64).scale, 1.0);
+        assert_eq!(f.lattice(front as f64).offset, f.lattice(front as f64).offset.round());
+        assert!((0..f.dims[2]).all(|k| f.lattice(k as f64).scale >= 1.0));
     }
 }

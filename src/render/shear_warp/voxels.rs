@@ -1,0 +1,38 @@
+//! The pass of single voxels: the kernel's type parameters.
+
+use std::time::Instant;
+
+use super::Pass;
+use crate::classify::Encodings;
+use crate::render::RenderError;
+use crate::render::composite::voxels::Voxels;
+use crate::render::intermediate::IntermediateImage;
+use crate::render::material::{Material, SliceTables};
+
+impl Pass<'_> {
+    /// Composites voxels into `image`; gives when the tables were there.
+    pub(super) fn voxels(&self, image: &mut IntermediateImage) -> Result<Instant, RenderError> {
+        let factored = !self.scene.transfer.gradient_opacity.is_empty();
+        let tables = SliceTables::new(self.classification.tables(), self.factorization, factored);
+        match (self.shading.is_some(), factored) {
+            (true, true) => self.run(&self.encoded::<true, true>(&tables), image),
+            (true, false) => self.run(&self.encoded::<true, false>(&tables), image),
+            (false, true) => self.run(&self.encoded::<false, true>(&tables), image),
+            (false, false) => self.run(&self.encoded::<false, false>(&tables), image),
+        }
+    }
+
+    fn encoded<'b, const LIT: bool, const FACTORED: bool>(
+        &'b self,
+        tables: &'b SliceTables,
+    ) -> Voxels<'b, LIT, FACTORED> {
+        let run_lengths = self.scene.encodings.and_then(Encodings::voxels).expect("the algorithm needs encodings");
+        Voxels {
+            encoding: run_lengths.for_axis(self.factorization.principal_axis),
+            factorization: self.factorization,
+            material: Material::new(tables, self.shading),
+            opaque: self.settings.early_ray_termination,
+            cancel: self.cancel,
+        }
+    }
+}
