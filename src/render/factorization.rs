@@ -56,6 +56,11 @@ pub struct Factorization {
     pub reversed: bool,
     /// Slices in front of the viewer: all of them, unless the eye stands among them.
     pub slices: Range<usize>,
+    /// The slice that positions along the rays are counted from: the nearest to the viewer or, where the
+    /// eye stands among the slices, the one that it stands on or has just behind it.
+    pub front: usize,
+    /// Position of the eye where it stands among the slices, 0..1; else 0.
+    pub start: f64,
     shear: Shear,
     /// Pixels of the intermediate image along u and v.
     pub size: [usize; 2],
@@ -151,6 +156,8 @@ impl Factorization {
             dims,
             reversed,
             slices: 0..dims[2],
+            front: if reversed { dims[2] - 1 } else { 0 },
+            start: 0.0,
             shear: Shear::Parallel { per_slice: shear, translation },
             size: [0, 1].map(|axis| dims[axis] + (shear[axis].abs() * last_slice).ceil() as usize + 1),
             direction,
@@ -160,6 +167,33 @@ impl Factorization {
             extent: [DVec2::ZERO, first.max(last) + face],
             clip: clip(principal_axis, view, &world_from_index),
         }
+    }
+
+    /// Slices from the front one to the last.
+    pub fn layers(&self) -> usize {
+        if self.reversed { self.front - self.slices.start } else { self.slices.end - 1 - self.front }
+    }
+
+    /// Where along k the position is that rays reach after so many slices from the front one.
+    pub fn along(&self, position: f64) -> f64 {
+        let front = self.front as f64;
+        if self.reversed { front - position } else { front + position }
+    }
+
+    /// How many intervals between slices slice `k` stands for: half of each that it bounds, and all of what
+    /// lies between the eye and the first slice in front of it. n slices span n - 1 intervals.
+    pub fn share(&self, k: usize) -> f64 {
+        let (nearest, farthest) = if self.reversed {
+            (self.slices.end - 1, self.slices.start)
+        } else {
+            (self.slices.start, self.slices.end - 1)
+        };
+        let before = match k == nearest {
+            true if nearest == self.front => 0.0,
+            true => 1.0 - self.start,
+            false => 0.5,
+        };
+        before + if k == farthest { 0.0 } else { 0.5 }
     }
 
     /// True where no slice is scaled: each lies on the pixel lattice but for an offset.
@@ -242,12 +276,6 @@ impl Factorization {
             }
         }
         if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
-    }
-
-    /// True for the two outermost slices, which stand for half an interval each: n slices span
-    /// n - 1 intervals.
-    pub fn is_outermost(&self, k: usize) -> bool {
-        k == 0 || k == self.dims[2] - 1
     }
 
     /// The eye in voxel coordinates i, j, k; `None` where rays are parallel.

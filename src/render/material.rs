@@ -19,25 +19,28 @@ use crate::classify::rle::Voxel;
 /// Colour and opacity by code, for a ray's length through a slice.
 #[derive(Clone, Debug)]
 pub struct SliceTables {
-    /// For inner slices and for the two outermost. Red, green, blue as they are; then opacity, or
+    /// By how many intervals a slice stands for. Red, green, blue as they are; then opacity, or
     /// (with gradient opacity) the optical depth.
-    entries: [Vec<Vec4>; 2],
+    entries: Vec<(f64, Vec<Vec4>)>,
 }
 
 impl SliceTables {
     /// For the view's slice distance. With `optical_depth` the fourth component is left as
     /// extinction times length, to be scaled by a voxel's gradient opacity.
     pub fn new(tables: &CodeTables, factorization: &Factorization, optical_depth: bool) -> Self {
-        let entries = [1.0, 0.5].map(|share| {
+        let mut shares: Vec<f64> = factorization.slices.clone().map(|k| factorization.share(k)).collect();
+        shares.sort_by(f64::total_cmp);
+        shares.dedup();
+        let entries = shares.into_iter().map(|share| {
             let length = (factorization.slice_distance * share) as f32;
             let entry = |(tau, [r, g, b]): (&f32, &[f32; 3])| {
                 let depth = tau * length;
                 let w = if optical_depth || depth == 0.0 { depth } else { opacity(depth) };
                 Vec4::new(*r, *g, *b, w)
             };
-            tables.extinction.iter().zip(&tables.color).map(entry).collect()
+            (share, tables.extinction.iter().zip(&tables.color).map(entry).collect())
         });
-        Self { entries }
+        Self { entries: entries.collect() }
     }
 }
 
@@ -67,10 +70,12 @@ impl<'a, const LIT: bool, const FACTORED: bool> Material<'a, LIT, FACTORED> {
         Self { tables, shades: shading.map_or(&[], ShadingTable::entries) }
     }
 
-    /// For an inner or an outermost slice.
+    /// For a slice that stands for `share` intervals, as one of the factorization does.
     #[inline(always)]
-    pub fn slice(&self, outermost: bool) -> SliceMaterial<'a, LIT, FACTORED> {
-        SliceMaterial { table: &self.tables.entries[usize::from(outermost)], shades: self.shades }
+    pub fn slice(&self, share: f64) -> SliceMaterial<'a, LIT, FACTORED> {
+        let entries = &self.tables.entries;
+        let (_, table) = entries.iter().find(|entry| entry.0 == share).unwrap_or(&entries[0]);
+        SliceMaterial { table, shades: self.shades }
     }
 }
 

@@ -340,7 +340,6 @@ pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), Re
                 pointer: "/algorithm",
                 detail: format!("{} is not supported by this version", settings.algorithm.name()),
             }),
-            _ if view.projection() == Projection::Perspective => Err(shear_warp::perspective()),
             _ => Factorization::parts(view, volume).map(|_| ()),
         },
     }

@@ -6,6 +6,7 @@ mod voxels;
 use std::time::Instant;
 
 use super::composite::cue::DepthTables;
+use super::composite::ray_light::RayLight;
 use super::composite::{Composite, naive};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
@@ -22,58 +23,70 @@ pub(super) fn frame(
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
     let start = Instant::now();
-    let volume = scene.prepared.volume();
 
-    // Factor the view into shear and warp.
-    let parts = Factorization::parts(view, volume)?;
-    let [factorization] = &parts[..] else { return Err(perspective()) };
-    if !factorization.is_parallel() {
-        return Err(perspective());
+    // Factor the view into shear and warp; a wide perspective view part by part.
+    let parts = Factorization::parts(view, scene.prepared.volume())?;
+
+    // Shear, resample and composite the slices into an intermediate image for each part.
+    let mut shade = start.elapsed();
+    let mut images = vec![];
+    for factorization in &parts {
+        let begun = Instant::now();
+        let (image, ready) = part(scene, view, factorization, settings, cancel)?;
+        images.push(image);
+        shade += ready - begun;
     }
+    let composite = start.elapsed();
 
-    // Make the tables that depend on the view: shading by normal, fading by depth, and, in the pass,
-    // opacity and colour by code or by pairs of them.
+    // Warp the intermediate images into the final one.
+    let (width, height) = view.size();
+    let channels = settings.background.channels();
+    let mut pixels = vec![0; width as usize * height as usize * channels];
+    let parts: Vec<_> =
+        parts.iter().zip(&images).map(|(factorization, image)| warp::Part { factorization, image }).collect();
+    warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
+    let render = start.elapsed();
+
+    let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
+    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+}
+
+/// The intermediate image of a part of the view, and when its tables were there.
+fn part(
+    scene: &Scene<'_>,
+    view: &View,
+    factorization: &Factorization,
+    settings: &Settings,
+    cancel: &Cancel,
+) -> Result<(IntermediateImage, Instant), RenderError> {
+    // Make the tables that depend on the view: light by normal (in perspective there is none, for
+    // every ray has its own), fading by depth, and, in the pass, opacity and colour by code or by
+    // pairs of them.
+    let volume = scene.prepared.volume();
     let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-    let shading =
-        settings.shading.as_ref().map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame));
+    let shading = settings.shading.as_ref();
+    let ray_light = shading.and_then(|s| RayLight::new(s, volume, factorization));
+    let table = match &ray_light {
+        None => shading.map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame)),
+        Some(_) => None,
+    };
     let cue = settings.depth_cueing.as_ref().map(|cueing| DepthTables::new(cueing, view, volume, factorization));
     let pass = Pass {
         scene,
         classification: scene.classification.expect("the algorithm needs a classification"),
         factorization,
-        shading: shading.as_ref(),
+        table: table.as_ref(),
+        ray_light: ray_light.as_ref(),
         cue: cue.as_ref(),
         settings,
         cancel,
     };
-
-    // Shear, resample and composite the slices into the intermediate image.
-    let mut intermediate = IntermediateImage::new(factorization.size);
+    let mut image = IntermediateImage::new(factorization.size);
     let ready = match settings.algorithm {
-        Algorithm::Preintegrated => pass.slabs(&mut intermediate),
-        _ => pass.voxels(&mut intermediate),
+        Algorithm::Preintegrated => pass.slabs(&mut image),
+        _ => pass.voxels(&mut image),
     }?;
-    let composite = start.elapsed();
-
-    // Warp the intermediate image into the final one.
-    let (width, height) = view.size();
-    let channels = settings.background.channels();
-    let mut pixels = vec![0; width as usize * height as usize * channels];
-    let parts = [warp::Part { factorization, image: &intermediate }];
-    warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
-    let render = start.elapsed();
-
-    let shade = ready - start;
-    let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
-    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
-}
-
-/// What is said of perspective views.
-pub(super) fn perspective() -> RenderError {
-    RenderError::Unsupported {
-        pointer: "/camera/projection",
-        detail: "the algorithm classified is for parallel projection".into(),
-    }
+    Ok((image, ready))
 }
 
 /// What compositing takes from the frame, whatever its type parameters.
@@ -82,7 +95,9 @@ struct Pass<'a> {
     scene: &'a Scene<'a>,
     classification: &'a Classification,
     factorization: &'a Factorization,
-    shading: Option<&'a ShadingTable>,
+    /// Where the volume is shaded: by normal under parallel projection, by ray in perspective.
+    table: Option<&'a ShadingTable>,
+    ray_light: Option<&'a RayLight>,
     cue: Option<&'a DepthTables>,
     settings: &'a Settings,
     cancel: &'a Cancel,

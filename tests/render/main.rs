@@ -5,4 +5,5 @@ mod equivalence;
 mod golden;
 mod invariance;
 mod layering;
+mod perspective;
 mod scenes;

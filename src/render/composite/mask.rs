@@ -47,6 +47,15 @@ impl Mask {
         }
     }
 
+    /// Adds the pixels of `range`, as far as the scanline goes.
+    #[inline(always)]
+    pub fn add(&mut self, range: Range<usize>) {
+        let end = range.end.min((self.words.len() - 1) * WORD);
+        for at in range.start / WORD..end.div_ceil(WORD) {
+            self.words[at] |= below(end, at) & !below(range.start, at);
+        }
+    }
+
     /// Keeps the pixels of `range` that are set in `open`. False where none is left.
     #[inline(always)]
     pub fn keep(&mut self, open: &[u64], range: &Range<usize>) -> bool {

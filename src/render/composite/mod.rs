@@ -17,13 +17,14 @@
 
 pub mod cue;
 pub mod footprint;
-mod ray_light;
-mod scaled;
+pub mod lattice;
 mod mask;
 pub mod naive;
 pub mod occupied;
+pub mod ray_light;
 mod rows;
 pub mod samples;
+mod scaled;
 pub mod slabs;
 mod spans;
 pub mod voxels;

@@ -6,8 +6,10 @@
 use glam::Vec4;
 use rayon::prelude::*;
 
+use super::footprint::Footprint;
+use super::lattice::{Lattice, Scaled, Unit};
 use super::over;
-use super::samples::{self, Position, VoxelRows, lerp};
+use super::samples::{Position, VoxelRows, lerp};
 use super::slabs::SlabComposite;
 use super::voxels::{Voxels, Weights};
 use crate::classify::preintegration::Slabs;
@@ -53,7 +55,7 @@ impl<const LIT: bool, const FACTORED: bool> Pixels for Voxels<'_, LIT, FACTORED>
                 continue;
             }
             let (i, j) = (u - slice.first[0], v - slice.first[1]);
-            let material = self.material.slice(f.is_outermost(k));
+            let material = self.material.slice(f.share(k));
             let row = |j: usize| {
                 let scanline = self.encoding.scanline(j, k);
                 [voxel(&scanline, i, material), voxel(&scanline, i + 1, material)]
@@ -100,26 +102,39 @@ fn voxel<const LIT: bool, const FACTORED: bool>(
     Vec4::ZERO
 }
 
-impl<T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, T, S, C> {
+/// A lattice's way to sample, told for one pixel.
+pub trait NaiveLattice: Lattice {
+    /// The sample at pixel (u, v), slices being continued by their borders.
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        dims: [usize; 3],
+        position: &Position<Self::Placement>,
+        pixel: [usize; 2],
+    ) -> Vec4;
+}
+
+impl<L: NaiveLattice, T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, T, S, C> {
     fn pixel(&self, u: usize, v: usize) -> Vec4 {
         let f = self.factorization;
         let mut pixel = Vec4::ZERO;
-        for n in 0..self.slabs() {
-            let middle = samples::along(f, n as f64 + 0.5, self.steps);
-            if !contains(&f.placement(middle), f.dims, [u, v])
-                || f.is_clipped() && !f.visible_pixels(v, middle).contains(&u)
-            {
+        for n in self.slabs() {
+            let slab = self.place(n);
+            let inside = slab.pixels.contains(&u) && slab.scanlines.contains(&v);
+            if !inside || f.is_clipped() && !f.visible_pixels(v, slab.middle).contains(&u) {
                 continue;
             }
-            let [front, back] = [n, n + 1].map(|n| {
-                let position = Position::new(f, n, self.steps);
-                let sample = sample(&self.voxels, f.dims, &position, u, v);
+            let [front, back] = [&slab.front, &slab.back].map(|position| {
+                let sample = L::pixel(&self.voxels, f.dims, position, [u, v]);
                 sample.with_x(self.table.coordinate(sample.x))
             });
-            let lit = self.voxels.is_lit();
-            let mut sample = if lit { self.sample::<true>(front, back) } else { self.sample::<false>(front, back) };
+            let length = if L::LENGTHS { f.relative_length(u, v) * slab.share } else { 1.0 };
+            let mut sample = if self.voxels.is_lit() {
+                self.sample::<true>(front, back, length)
+            } else {
+                self.sample::<false>(front, back, length)
+            };
             if let Some(cue) = self.cue {
-                sample = (sample * (cue.along_v[v] * cue.slice(middle) * cue.along_u[u])).with_w(sample.w);
+                sample = (sample * (cue.along_v[v] * slab.cue * cue.along_u[u])).with_w(sample.w);
             }
             pixel = over(pixel, sample);
             if pixel.w >= self.opaque {
@@ -130,17 +145,50 @@ impl<T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, T, S, C> {
     }
 }
 
-/// The sample at a pixel, slices being continued by their borders.
-fn sample<T: Code>(voxels: &VoxelRows<'_, T>, dims: [usize; 3], position: &Position, u: usize, v: usize) -> Vec4 {
-    let SlicePlacement { first, fraction } = position.placement;
-    let clamped = |at: usize, axis: usize| at.saturating_sub(first[axis]).min(dims[axis] - 1);
-    let before = |at: usize, axis: usize| clamped(at, axis);
-    let after = |at: usize, axis: usize| clamped(at + 1, axis);
-    let on_slice = |k: usize| {
-        let voxel = |i: usize, j: usize| voxels.block(j, k, i)[0];
-        let column = |i: usize| lerp(voxel(i, before(v, 1)), voxel(i, after(v, 1)), fraction[1]);
-        lerp(column(before(u, 0)), column(after(u, 0)), fraction[0])
-    };
-    let near = on_slice(position.near);
-    position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
+impl NaiveLattice for Unit {
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        dims: [usize; 3],
+        position: &Position<SlicePlacement>,
+        [u, v]: [usize; 2],
+    ) -> Vec4 {
+        let SlicePlacement { first, fraction } = position.placement;
+        let clamped = |at: usize, axis: usize| at.saturating_sub(first[axis]).min(dims[axis] - 1);
+        let before = |at: usize, axis: usize| clamped(at, axis);
+        let after = |at: usize, axis: usize| clamped(at + 1, axis);
+        let on_slice = |k: usize| {
+            let voxel = |i: usize, j: usize| voxels.block(j, k, i)[0];
+            let column = |i: usize| lerp(voxel(i, before(v, 1)), voxel(i, after(v, 1)), fraction[1]);
+            lerp(column(before(u, 0)), column(after(u, 0)), fraction[0])
+        };
+        let near = on_slice(position.near);
+        position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
+    }
+}
+
+impl NaiveLattice for Scaled {
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        _: [usize; 3],
+        position: &Position<[Footprint; 2]>,
+        [u, v]: [usize; 2],
+    ) -> Vec4 {
+        let [along_u, along_v] = position.placement;
+        let under = |footprint: Footprint, at: usize| {
+            let first = footprint.first(at);
+            (first..first + footprint.taps()).map(move |voxel| (voxel, footprint.weight(at, voxel)))
+        };
+        let on_slice = |k: usize| {
+            let column = |i: usize| sum(under(along_v, v).map(|(j, weight)| voxels.block(j, k, i)[0] * weight));
+            sum(under(along_u, u).map(|(i, weight)| column(i) * weight))
+        };
+        let near = on_slice(position.near);
+        position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
+    }
+}
+
+/// The sum of one or more, from the first on.
+fn sum(mut terms: impl Iterator<Item = Vec4>) -> Vec4 {
+    let first = terms.next().expect("a voxel under every pixel");
+    terms.fold(first, |sum, term| sum + term)
 }

@@ -59,7 +59,7 @@ impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
     fn slice(&self, band: &mut Band<'_>, k: usize, rows: &mut RowBuffers, spans: &mut Spans) {
         let placement = self.factorization.slice(k);
         let [fraction_u, fraction_v] = placement.fraction;
-        let material = self.material.slice(self.factorization.is_outermost(k));
+        let material = self.material.slice(self.factorization.share(k));
         // Pixels between the slice's first and last voxel scanline: nothing lies outside the box.
         let last = self.factorization.dims[1] - 1 - usize::from(fraction_v > 0.0);
         let first_row = placement.first[1].saturating_sub(band.first);

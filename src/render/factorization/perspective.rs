@@ -211,11 +211,18 @@ impl Pyramid {
             steps[1] / distance,
             steps[0] * start.x + steps[1] * start.y + steps[2] * start.z,
         );
+        let among = if axis.reversed { eye.z <= (dims[2] - 1) as f64 } else { eye.z >= 0.0 };
+        let front = match (axis.reversed, among) {
+            (false, among) => slices.start - usize::from(among),
+            (true, among) => slices.end - usize::from(!among),
+        };
         Some(Factorization {
             principal_axis: axis.axis,
             dims,
             reversed: axis.reversed,
             slices,
+            front,
+            start: if among { (eye.z - front as f64).abs() } else { 0.0 },
             shear: Shear::Perspective { eye, distance, origin, directions },
             size: [0, 1].map(|n| extent[1][n] as usize + 2),
             direction: view.forward(),

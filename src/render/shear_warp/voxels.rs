@@ -14,7 +14,7 @@ impl Pass<'_> {
     pub(super) fn voxels(&self, image: &mut IntermediateImage) -> Result<Instant, RenderError> {
         let factored = !self.scene.transfer.gradient_opacity.is_empty();
         let tables = SliceTables::new(self.classification.tables(), self.factorization, factored);
-        match (self.shading.is_some(), factored) {
+        match (self.settings.shading.is_some(), factored) {
             (true, true) => self.run(&self.encoded::<true, true>(&tables), image),
             (true, false) => self.run(&self.encoded::<true, false>(&tables), image),
             (false, true) => self.run(&self.encoded::<false, true>(&tables), image),
@@ -30,7 +30,7 @@ impl Pass<'_> {
         Voxels {
             encoding: run_lengths.for_axis(self.factorization.principal_axis),
             factorization: self.factorization,
-            material: Material::new(tables, self.shading),
+            material: Material::new(tables, self.table),
             opaque: self.settings.early_ray_termination,
             cancel: self.cancel,
         }
