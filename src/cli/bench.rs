@@ -11,7 +11,6 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::{Serialize, Serializer};
 use shearwarp::encode::{Format, encode};
-use shearwarp::render::Algorithm;
 use shearwarp::render::factorization::Factorization;
 use shearwarp::render::intermediate::IntermediateImage;
 
@@ -104,7 +103,8 @@ fn measure(arguments: &Arguments) -> Result<Report, Failure> {
     let progress = ProgressBar::new(2 * u64::from(arguments.frames));
     let mut phases = Phases::default();
     for turn in 0..2 {
-        phases = Phases::default();
+        // Tables are made in the first turn and kept, as they are for a client that turns a volume.
+        phases = Phases { preintegration_table: phases.preintegration_table, ..Phases::default() };
         for frame in 0..arguments.frames {
             phases.add(&stage, f64::from(frame) * arguments.step)?;
             progress.inc(1);
@@ -124,8 +124,8 @@ fn measure(arguments: &Arguments) -> Result<Report, Failure> {
         frames: arguments.frames,
         image: [width, height],
         nontransparent_share: stage.classified.as_ref().map(|c| c.encodings.nontransparent_share()),
-        frame_ms: phases.summaries(settings.algorithm),
-        prepare_ms: prepare_ms(&stage, load),
+        frame_ms: phases.summaries(),
+        prepare_ms: prepare_ms(&stage, load, phases.preintegration_table),
         bytes: bytes(&stage, &phases),
     })
 }
@@ -133,6 +133,8 @@ fn measure(arguments: &Arguments) -> Result<Report, Failure> {
 /// Durations of every frame, by phase.
 #[derive(Default)]
 struct Phases {
+    /// The longest that a frame had to make one.
+    preintegration_table: Duration,
     shade: Vec<Duration>,
     composite: Vec<Duration>,
     warp: Vec<Duration>,
@@ -155,6 +157,7 @@ impl Phases {
         let png = encode(&image, Format::Png).map_err(|error| Failure::Other(error.to_string()))?;
         let total = start.elapsed();
         std::hint::black_box(png);
+        self.preintegration_table = self.preintegration_table.max(timings.preintegration_table);
         self.shade.push(timings.shade);
         self.composite.push(timings.composite);
         self.warp.push(timings.warp);
@@ -170,7 +173,7 @@ impl Phases {
         Ok(())
     }
 
-    fn summaries(&self, algorithm: Algorithm) -> Named<Summary> {
+    fn summaries(&self) -> Named<Summary> {
         let phases = [
             ("shade", &self.shade),
             ("composite", &self.composite),
@@ -179,8 +182,8 @@ impl Phases {
             ("render", &self.render),
             ("total", &self.total),
         ];
-        let ran = |phase: &str| algorithm != Algorithm::Raycast || !["shade", "warp"].contains(&phase);
-        phases.into_iter().filter(|(phase, _)| ran(phase)).map(|(phase, d)| (phase, Summary::of(d))).collect()
+        let ran = |durations: &[Duration]| durations.iter().any(|d| *d > Duration::ZERO);
+        phases.into_iter().filter(|(_, d)| ran(d)).map(|(phase, d)| (phase, Summary::of(d))).collect()
     }
 }
 
@@ -199,14 +202,19 @@ impl Summary {
     }
 }
 
-fn prepare_ms(stage: &Stage, load: Duration) -> Named<f64> {
+fn prepare_ms(stage: &Stage, load: Duration, preintegration_table: Duration) -> Named<f64> {
     let prepared = stage.prepared.timings();
     let once = [("load", load), ("gradients", prepared.gradients), ("octree", prepared.octree)];
     let steps = stage
         .classified
         .as_ref()
         .map(|c| [("summed_area_table", c.classification.summed_area_table()), ("run_lengths", c.run_lengths)]);
-    once.into_iter().chain(steps.into_iter().flatten()).map(|(step, d)| (step, d.as_secs_f64() * 1e3)).collect()
+    let table = (preintegration_table > Duration::ZERO).then_some(("preintegration_table", preintegration_table));
+    once.into_iter()
+        .chain(steps.into_iter().flatten())
+        .chain(table)
+        .map(|(step, d)| (step, d.as_secs_f64() * 1e3))
+        .collect()
 }
 
 /// `images` are the intermediate images, where there are any, and the final one.

@@ -13,7 +13,7 @@ use shearwarp::render::{self, Cancel, Image, Scene, Timings, View};
 use shearwarp::service;
 use shearwarp::service::request::{ImageLimits, Kind, OPTIONS, RenderRequest, RequestError, ResolvedRequest};
 use shearwarp::volume::decode::{self, Limits, RawLayout};
-use shearwarp::volume::{PreparedVolume, Volume, phantom};
+use shearwarp::volume::{PreparedVolume, Volume, phantom, pyramid};
 
 use super::Failure;
 
@@ -133,6 +133,8 @@ impl clap::FromArgMatches for RequestArguments {
 /// A volume with its structures under a request: all but the camera's turn.
 #[derive(Debug)]
 pub struct Stage {
+    /// What the camera looks at, whatever level is shown.
+    level_0: Volume,
     pub prepared: PreparedVolume,
     /// What the algorithm walks, where it is not the ray caster.
     pub classified: Option<Classified>,
@@ -162,7 +164,9 @@ impl Stage {
         let presets = FittedPresets::of(&loaded.volume, loaded.modality.as_deref());
         let resolved = request.resolve(&loaded.volume, &presets, &LIMITS).map_err(refused)?;
         let progress = spinner("gradients and octree");
-        let prepared = PreparedVolume::build(loaded.volume);
+        let level_0 = loaded.volume;
+        let volume = if resolved.level() == 0 { level_0.clone() } else { pyramid::coarser(&level_0) };
+        let prepared = PreparedVolume::build(volume);
         progress.set_message("run-length encodings");
         let classified = resolved.purpose().map(|purpose| {
             let classification = Classification::build(&prepared, &resolved.transfer, purpose);
@@ -171,13 +175,13 @@ impl Stage {
             Classified { classification, encodings, run_lengths: start.elapsed() }
         });
         progress.finish_and_clear();
-        Ok(Self { prepared, classified, request, resolved })
+        Ok(Self { level_0, prepared, classified, request, resolved })
     }
 
     /// The view with the camera turned by `degrees` about the vertical axis.
     pub fn view(&self, degrees: f64) -> Result<View, Failure> {
         let turned = if degrees == 0.0 { Ok(self.request.clone()) } else { self.request.turned(degrees) };
-        turned.and_then(|request| request.view(self.prepared.volume())).map_err(refused)
+        turned.and_then(|request| request.view(&self.level_0)).map_err(refused)
     }
 
     /// The frame of a view.

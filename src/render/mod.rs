@@ -278,6 +278,8 @@ impl Settings {
 /// How long each stage of a frame took. Stages that did not run are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Timings {
+    /// The pre-integration table, where it was not there yet.
+    pub preintegration_table: Duration,
     /// Shading and opacity tables of the view.
     pub shade: Duration,
     /// Slices into the intermediate image (or rays through the volume).

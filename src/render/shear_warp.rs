@@ -3,7 +3,7 @@
 mod slabs;
 mod voxels;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::composite::cue::DepthTables;
 use super::composite::ray_light::RayLight;
@@ -28,13 +28,14 @@ pub(super) fn frame(
     let parts = Factorization::parts(view, scene.prepared.volume())?;
 
     // Shear, resample and composite the slices into an intermediate image for each part.
-    let mut shade = start.elapsed();
+    let (mut shade, mut preintegration_table) = (start.elapsed(), Duration::ZERO);
     let mut images = vec![];
     for factorization in &parts {
         let begun = Instant::now();
-        let (image, ready) = part(scene, view, factorization, settings, cancel)?;
+        let (image, ready, table) = part(scene, view, factorization, settings, cancel)?;
         images.push(image);
-        shade += ready - begun;
+        preintegration_table += table;
+        shade += ready - begun - table;
     }
     let composite = start.elapsed();
 
@@ -47,18 +48,19 @@ pub(super) fn frame(
     warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
     let render = start.elapsed();
 
-    let timings = Timings { shade, composite: composite - shade, warp: render - composite, render };
+    let composite_only = composite - shade - preintegration_table;
+    let timings = Timings { preintegration_table, shade, composite: composite_only, warp: render - composite, render };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
 }
 
-/// The intermediate image of a part of the view, and when its tables were there.
+/// The intermediate image of a part of the view, when its tables were there, and how long that of slabs took.
 fn part(
     scene: &Scene<'_>,
     view: &View,
     factorization: &Factorization,
     settings: &Settings,
     cancel: &Cancel,
-) -> Result<(IntermediateImage, Instant), RenderError> {
+) -> Result<(IntermediateImage, Instant, Duration), RenderError> {
     // Make the tables that depend on the view: light by normal (in perspective there is none, for
     // every ray has its own), fading by depth, and, in the pass, opacity and colour by code or by
     // pairs of them.
@@ -82,11 +84,11 @@ fn part(
         cancel,
     };
     let mut image = IntermediateImage::new(factorization.size);
-    let ready = match settings.algorithm {
-        Algorithm::Preintegrated => pass.slabs(&mut image),
-        _ => pass.voxels(&mut image),
-    }?;
-    Ok((image, ready))
+    let (ready, table) = match settings.algorithm {
+        Algorithm::Preintegrated => pass.slabs(&mut image)?,
+        _ => (pass.voxels(&mut image)?, Duration::ZERO),
+    };
+    Ok((image, ready, table))
 }
 
 /// What compositing takes from the frame, whatever its type parameters.

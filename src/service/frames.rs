@@ -152,16 +152,16 @@ impl Asked {
         let start = Instant::now();
         let classified = match ClassifiedKey::of(&self.frame) {
             None => None,
-            Some(made_from) => Some(app.store.classified(ticket, &self.volume, made_from, false).await?),
+            Some(made_from) => Some(app.store.classified(ticket, &self.volume, made_from).await?),
         };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
         let job = move |cancel: &render::Cancel| {
             let scene = Scene {
-                prepared: &volume.prepared,
+                prepared: volume.level(frame.level()),
                 transfer: &frame.transfer,
-                classification: classified.as_ref().map(|c| &c.classification),
-                encodings: classified.as_ref().map(|c| &c.encodings),
+                classification: classified.as_ref().map(|c| &*c.classification),
+                encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
             };
             let (image, stages) = render::render(&scene, &frame.view, &frame.settings, cancel)?;
             let start = Instant::now();
@@ -179,7 +179,7 @@ impl Asked {
     fn answer(&self, made: Made) -> Response {
         let stages = [
             ("queue", made.queue),
-            ("prepare", made.prepare),
+            ("prepare", made.prepare + made.stages.preintegration_table),
             ("shade", made.stages.shade),
             ("composite", made.stages.composite),
             ("warp", made.stages.warp),

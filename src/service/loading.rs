@@ -156,7 +156,7 @@ async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
         .map_err(|error| error.to_string())?;
     if let Some(made_from) = ClassifiedKey::of(&resolved) {
         let ticket = app.pool.own_work();
-        app.store.classified(&ticket, volume, made_from, true).await.map_err(|error| error.to_string())?;
+        app.store.warm_up(&ticket, volume, made_from).await.map_err(|error| error.to_string())?;
     }
     Ok(())
 }

@@ -10,6 +10,8 @@ use std::time::Duration;
 use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
 use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
 
+use super::store::CacheSize;
+
 /// Upper bounds in seconds: 1 ms, where a cached draft frame is, to the deadline.
 const BUCKETS: &[f64] =
     &[0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0];
@@ -45,10 +47,13 @@ fn describe() {
     describe_counter!("shearwarp_deadlines_total", "Requests that ended with 504");
     describe_gauge!("shearwarp_queue_depth", "Requests that wait for their turn");
     describe_gauge!("shearwarp_jobs_running", "Jobs on the render pool");
-    describe_gauge!("shearwarp_classified_cache_bytes", "Bytes of classified volumes in memory");
-    describe_gauge!("shearwarp_classified_cache_entries", "Classified volumes in memory");
-    describe_counter!("shearwarp_classified_cache_hits_total", "Frames whose classified volume was in memory");
-    describe_counter!("shearwarp_classified_cache_misses_total", "Frames whose classified volume had to be built");
+    describe_gauge!("shearwarp_encodings", "Run-length encodings in memory");
+    describe_gauge!("shearwarp_encodings_bytes", "Bytes of run-length encodings in memory");
+    describe_gauge!("shearwarp_encodings_building", "Run-length encodings in the making");
+    describe_gauge!("shearwarp_classifications_bytes", "Bytes of classification tables in memory");
+    describe_counter!("shearwarp_encodings_hits_total", "Frames whose run-length encodings were in memory");
+    describe_counter!("shearwarp_encodings_misses_total", "Frames that went through octree and table instead");
+    describe_counter!("shearwarp_encodings_built_total", "Run-length encodings built");
     describe_counter!("shearwarp_cache_folder_total", "Look-ups in the cache folder by outcome: hit, absent, refused");
     describe_gauge!("shearwarp_volumes", "Volumes by status: ready, loading, failed");
     // Counters that stand at 0 are worth seeing: an alert on a missing series never fires.
@@ -89,10 +94,15 @@ pub fn past_deadline() {
     counter!("shearwarp_deadlines_total").increment(1);
 }
 
-/// A frame asked for a classified volume.
-pub fn classified_cache(hit: bool) {
-    let name = if hit { "shearwarp_classified_cache_hits_total" } else { "shearwarp_classified_cache_misses_total" };
+/// A frame asked for encodings.
+pub fn encodings(hit: bool) {
+    let name = if hit { "shearwarp_encodings_hits_total" } else { "shearwarp_encodings_misses_total" };
     counter!(name).increment(1);
+}
+
+/// Encodings were built.
+pub fn encoded() {
+    counter!("shearwarp_encodings_built_total").increment(1);
 }
 
 /// The cache folder was asked for an encoding.
@@ -105,8 +115,7 @@ pub fn cache_folder(outcome: &'static str) {
 pub struct Gauges {
     pub waiting: usize,
     pub running: usize,
-    pub cache_bytes: u64,
-    pub cache_entries: u64,
+    pub cache: CacheSize,
     /// (ready, loading, failed)
     pub volumes: (usize, usize, usize),
 }
@@ -119,8 +128,10 @@ pub fn render(gauges: Gauges) -> String {
     let _guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     gauge!("shearwarp_queue_depth").set(gauges.waiting as f64);
     gauge!("shearwarp_jobs_running").set(gauges.running as f64);
-    gauge!("shearwarp_classified_cache_bytes").set(gauges.cache_bytes as f64);
-    gauge!("shearwarp_classified_cache_entries").set(gauges.cache_entries as f64);
+    gauge!("shearwarp_encodings").set(gauges.cache.encodings as f64);
+    gauge!("shearwarp_encodings_bytes").set(gauges.cache.encoding_bytes as f64);
+    gauge!("shearwarp_encodings_building").set(gauges.cache.building as f64);
+    gauge!("shearwarp_classifications_bytes").set(gauges.cache.classification_bytes as f64);
     let (ready, loading, failed) = gauges.volumes;
     for (status, count) in [("ready", ready), ("loading", loading), ("failed", failed)] {
         gauge!("shearwarp_volumes", "status" => status).set(count as f64);

@@ -79,7 +79,7 @@ impl RenderPool {
         Ok(Ticket { pool: self.clone(), place: Some(Arc::new(place)) })
     }
 
-    /// A ticket for the service's own work at its start, which must not be refused.
+    /// A ticket for the service's own work, which must not be refused.
     pub fn own_work(&self) -> Ticket {
         Ticket { pool: self.clone(), place: None }
     }
@@ -104,6 +104,11 @@ pub struct Ticket {
 }
 
 impl Ticket {
+    /// A ticket for work that no request waits for; the place is not kept.
+    pub fn without_place(&self) -> Ticket {
+        self.pool.own_work()
+    }
+
     /// Runs `job` on the pool and gives its result and the time that it waited for its turn.
     /// Dropping the future raises the flag that `job` gets.
     ///

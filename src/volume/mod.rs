@@ -9,6 +9,7 @@ pub mod gradient;
 pub mod histogram;
 pub mod octree;
 pub mod phantom;
+pub mod pyramid;
 pub mod scanlines;
 
 mod metaimage;

@@ -141,7 +141,20 @@ fn info_says_what_the_volume_is() {
 fn bench_reports_every_phase_that_ran() {
     let folder = folder();
     let out = path(&folder, "bench.json");
-    let few = ["--frames", "3", "--threads", "2", "--width", "32", "--height", "16", "--json", &out];
+    let few = [
+        "--frames",
+        "3",
+        "--threads",
+        "2",
+        "--width",
+        "32",
+        "--height",
+        "16",
+        "--json",
+        &out,
+        "--algorithm",
+        "classified",
+    ];
     run(&folder, "bench", &few);
     let report: Value = serde_json::from_slice(&fs::read(&out).unwrap()).unwrap();
     assert_eq!(report["algorithm"], "classified");

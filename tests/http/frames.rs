@@ -12,7 +12,7 @@ async fn a_frame_comes_with_its_timings_algorithm_and_validators() {
     let response = service.get(PNG).await;
     assert_eq!(response.status(), 200);
     assert_eq!(header(&response, "content-type"), "image/png");
-    assert_eq!(header(&response, "x-render-algorithm"), "classified");
+    assert_eq!(header(&response, "x-render-algorithm"), "preintegrated");
     assert_eq!(header(&response, "vary"), "Accept");
     assert_eq!(header(&response, "cache-control"), "no-cache");
     let timing = header(&response, "server-timing").to_owned();

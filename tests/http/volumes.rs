@@ -19,7 +19,8 @@ async fn a_volume_is_described_in_full() {
     assert_eq!(ball["scalar_type"], "u8");
     assert_eq!(ball["components"], 1);
     assert_eq!(ball["value_range"], json!([0.0, 200.0]));
-    assert_eq!(ball["bytes"]["volume"], 24 * 24 * 24);
+    // The codes, and their copy for rays along x.
+    assert_eq!(ball["bytes"]["volume"], 2 * 24 * 24 * 24);
     assert_eq!(service.json("/v1/volumes").await["volumes"], json!([ball]));
 }
 
@@ -94,5 +95,5 @@ async fn metrics_count_requests_and_time_the_stages() {
     {
         assert!(service.metric(name).await >= 0.0);
     }
-    assert!(service.metric("shearwarp_classified_cache_entries").await >= 1.0);
+    assert!(service.metric("shearwarp_encodings").await >= 1.0);
 }

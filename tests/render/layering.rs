@@ -4,11 +4,12 @@ use std::fs;
 use std::path::Path;
 
 /// A folder (or file) of `src/` and the modules of the crate that it may name.
-const MAY_NAME: [(&str, &[&str]); 6] = [
+const MAY_NAME: [(&str, &[&str]); 7] = [
     ("volume", &["volume"]),
     ("classify", &["classify", "volume"]),
     ("render", &["render", "classify", "volume", "raycast"]),
     ("raycast.rs", &["render", "classify", "volume"]),
+    ("raycast", &["render", "classify", "volume"]),
     ("encode", &["encode", "render"]),
     ("service", &["service", "encode", "render", "classify", "volume"]),
 ];

@@ -7,3 +7,4 @@ mod invariance;
 mod layering;
 mod perspective;
 mod scenes;
+mod shear_image;

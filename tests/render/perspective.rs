@@ -13,7 +13,8 @@ fn volume(dims: [usize; 3], spacing: [f64; 3], code: impl Fn([f64; 3]) -> f64) -
         code(at.map(|i| i as f64)).round() as u8
     });
     let report = ImportReport::plain("test", ScalarType::U8);
-    Volume::new(dims, Placement::from_spacing(spacing.into()), Scalars::U8(codes.collect()), (1.0, 0.0), report).unwrap()
+    Volume::new(dims, Placement::from_spacing(spacing.into()), Scalars::U8(codes.collect()), (1.0, 0.0), report)
+        .unwrap()
 }
 
 /// Smooth lumps with empty space between them.

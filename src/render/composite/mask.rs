@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn cells_are_shifted_to_their_pixels_and_continued_by_their_borders() {
-        for (count, first) in [(63, 0), (63, 1), (64, 5), (70, 64), (130, 63), (1, 0), (1, 7)] {
+        for (count, first) in [(63usize, 0), (63, 1), (64, 5), (70, 64), (130, 63), (1, 0), (1, 7)] {
             for marked in [0, count / 2, count - 1] {
                 let mut cells = vec![0; count.div_ceil(WORD)];
                 cells[marked / WORD] |= 1 << (marked % WORD);

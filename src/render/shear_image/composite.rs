@@ -5,6 +5,8 @@
 //! something. Slabs at the two ends of a ray are cut where it enters and leaves the volume: they are
 //! sampled there, and their opacity is that of the shorter length.
 
+use std::time::Instant;
+
 use glam::{Mat3, Vec4};
 
 use super::packet::{LANES, Lanes, Packet};
@@ -42,7 +44,9 @@ pub(super) fn frame<T: Code>(
     let gradient_opacity = Some(scene.transfer).filter(|transfer| !transfer.gradient_opacity.is_empty());
     let scaled = gradient_opacity.is_some() || !same_length;
     let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
+    let making = Instant::now();
     let table = tables.table(form, (slice_length / steps as f64) as f32);
+    let preintegration_table = making.elapsed();
 
     let gradient_frame = GradientFrame::new(volume.placement(), volume.rescale().0);
     let lighting = settings.shading.as_ref().map(Lighting::new);
@@ -57,10 +61,11 @@ pub(super) fn frame<T: Code>(
         depth_cueing: settings.depth_cueing,
         opaque: settings.early_ray_termination,
     };
-    match options.lookup {
+    let (image, timings) = match options.lookup {
         Lookup::Nearest => walk.render(frame, Nearest(&table), scaled),
         Lookup::Bilinear => walk.render(frame, Bilinear(&table), scaled),
-    }
+    }?;
+    Ok((image, Timings { preintegration_table, ..timings }))
 }
 
 /// How packets walk, whatever the type parameters.

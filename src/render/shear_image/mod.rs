@@ -95,7 +95,7 @@ struct Frame<'a> {
 impl Frame<'_> {
     /// Fills the image, band by band.
     fn render<P: Pixels>(&self, pixels: &P) -> Result<(Image, Timings), RenderError> {
-        let shade = self.start.elapsed();
+        let start = self.start.elapsed();
         let (width, height) = self.rays.size;
         let background = &self.settings.background;
         let row_bytes = width * background.channels();
@@ -110,7 +110,7 @@ impl Frame<'_> {
             Ok(())
         })?;
         let render = self.start.elapsed();
-        let timings = Timings { shade, composite: render - shade, render, ..Timings::default() };
+        let timings = Timings { composite: render - start, render, ..Timings::default() };
         let (width, height) = (width as u32, height as u32);
         Ok((Image { width, height, channels: background.channels() as u8, pixels: out }, timings))
     }

@@ -1,6 +1,6 @@
 //! The pass of slabs: which table the options ask for, and the kernel's type parameters.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::Pass;
 use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
@@ -16,8 +16,8 @@ use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
 impl Pass<'_> {
-    /// Composites slabs into `image`; gives when the tables were there.
-    pub(super) fn slabs(&self, image: &mut IntermediateImage) -> Result<Instant, RenderError> {
+    /// Composites slabs into `image`; gives when the tables were there, and how long that of slabs took.
+    pub(super) fn slabs(&self, image: &mut IntermediateImage) -> Result<(Instant, Duration), RenderError> {
         let options = &self.settings.preintegration;
         let volume = self.scene.prepared.volume();
         let distance = volume.placement().spacing[self.factorization.principal_axis];
@@ -31,11 +31,14 @@ impl Pass<'_> {
         let scaled = !self.scene.transfer.gradient_opacity.is_empty();
         let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
         let tables = self.classification.slabs().expect("the classification is of slabs");
+        let making = Instant::now();
         let table = tables.table(form, (made_for / options.samples_per_voxel as f64) as f32);
-        match options.lookup {
+        let preintegration_table = making.elapsed();
+        let ready = match options.lookup {
             Lookup::Nearest => self.with_table(Nearest(&table), scaled, length, image),
             Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
-        }
+        }?;
+        Ok((ready, preintegration_table))
     }
 
     fn with_table<S: Slabs>(

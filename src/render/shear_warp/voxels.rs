@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::Pass;
-use crate::classify::Encodings;
+use crate::classify::{Encodings, RunLengthVolume};
 use crate::render::RenderError;
 use crate::render::composite::voxels::Voxels;
 use crate::render::intermediate::IntermediateImage;
@@ -14,19 +14,28 @@ impl Pass<'_> {
     pub(super) fn voxels(&self, image: &mut IntermediateImage) -> Result<Instant, RenderError> {
         let factored = !self.scene.transfer.gradient_opacity.is_empty();
         let tables = SliceTables::new(self.classification.tables(), self.factorization, factored);
+        let made;
+        let run_lengths = match self.scene.encodings.and_then(Encodings::voxels) {
+            Some(run_lengths) => run_lengths,
+            None => {
+                let (codes, occupied) = (self.classification.tables(), self.classification.occupied());
+                made = RunLengthVolume::encode(self.scene.prepared, codes, self.scene.transfer, occupied);
+                &made
+            }
+        };
         match (self.settings.shading.is_some(), factored) {
-            (true, true) => self.run(&self.encoded::<true, true>(&tables), image),
-            (true, false) => self.run(&self.encoded::<true, false>(&tables), image),
-            (false, true) => self.run(&self.encoded::<false, true>(&tables), image),
-            (false, false) => self.run(&self.encoded::<false, false>(&tables), image),
+            (true, true) => self.run(&self.encoded::<true, true>(&tables, run_lengths), image),
+            (true, false) => self.run(&self.encoded::<true, false>(&tables, run_lengths), image),
+            (false, true) => self.run(&self.encoded::<false, true>(&tables, run_lengths), image),
+            (false, false) => self.run(&self.encoded::<false, false>(&tables, run_lengths), image),
         }
     }
 
     fn encoded<'b, const LIT: bool, const FACTORED: bool>(
         &'b self,
         tables: &'b SliceTables,
+        run_lengths: &'b RunLengthVolume,
     ) -> Voxels<'b, LIT, FACTORED> {
-        let run_lengths = self.scene.encodings.and_then(Encodings::voxels).expect("the algorithm needs encodings");
         Voxels {
             encoding: run_lengths.for_axis(self.factorization.principal_axis),
             factorization: self.factorization,

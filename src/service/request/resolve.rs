@@ -5,7 +5,7 @@ use crate::classify::presets::{self, FittedPresets};
 use crate::classify::{Purpose, TransferFunction};
 use crate::encode::Format;
 use crate::render::{
-    self, Algorithm, Blend, BufferSlice, Preintegration, RenderError, Settings, Shading, View, Window,
+    self, Algorithm, Blend, BufferSlice, Preintegration, Quality, RenderError, Settings, Shading, View, Window,
 };
 use crate::volume::Volume;
 
@@ -144,6 +144,14 @@ impl RenderRequest {
 }
 
 impl ResolvedRequest {
+    /// The level of the volume's pyramid that the frame shows.
+    pub fn level(&self) -> usize {
+        match (self.settings.algorithm, self.settings.quality) {
+            (Algorithm::Raycast, _) | (_, Quality::Standard | Quality::High) => 0,
+            (_, Quality::Draft) => 1,
+        }
+    }
+
     /// What the frame needs classified; `None`: nothing.
     pub fn purpose(&self) -> Option<Purpose> {
         match (self.settings.algorithm, self.settings.blend) {

@@ -1,0 +1,136 @@
+//! Emission and absorption along a ray, at the midpoints of its steps.
+
+use glam::{DVec3, Vec4};
+
+use super::Stretch;
+use super::field::{Field, Place};
+use crate::classify::transfer::{TransferFunction, extinction};
+use crate::render::{DepthCueing, Light, Ray, Scene, Settings, Shading, View};
+use crate::volume::Volume;
+use crate::volume::gradient::Code;
+
+/// An octree's gradient magnitudes are rounded to f32; those here are not.
+const GRADIENT_MARGIN: f64 = 1.0 + 1e-5;
+
+/// The volume as the optical model sees it.
+pub(super) struct Medium<'a, T> {
+    field: Field<'a, T>,
+    volume: &'a Volume,
+    transfer: &'a TransferFunction,
+    reference_length: f64,
+    shading: Option<&'a Shading>,
+    depth_cueing: Option<(DepthCueing, Depth)>,
+    opaque: f64,
+    /// One flag per leaf of the octree, false where all of it is transparent; `None`: every sample is
+    /// looked at.
+    occupied: Option<Vec<bool>>,
+}
+
+impl<'a, T: Code> Medium<'a, T> {
+    pub(super) fn new(field: Field<'a, T>, scene: &Scene<'a>, view: &View, settings: &'a Settings) -> Self {
+        let (volume, transfer) = (scene.prepared.volume(), scene.transfer);
+        let occupied = settings.skipping.then(|| {
+            scene.prepared.octree().occupied_leaves(|range| {
+                let (low, high) = range.code;
+                let values = (volume.value_of_code(low.into()), volume.value_of_code(high.into()));
+                // An interpolated gradient may be shorter than all that it was made of.
+                transfer.is_transparent(values, (0.0, f64::from(range.gradient.1) * GRADIENT_MARGIN))
+            })
+        });
+        Self {
+            field,
+            volume,
+            transfer,
+            reference_length: transfer.reference_length(volume.smallest_spacing()),
+            shading: settings.shading.as_ref(),
+            depth_cueing: settings.depth_cueing.map(|cueing| (cueing, Depth::new(view, volume))),
+            opaque: f64::from(settings.early_ray_termination),
+            occupied,
+        }
+    }
+
+    /// The integral along one ray.
+    pub(super) fn pixel(&self, ray: &Ray, stretch: &Stretch) -> Vec4 {
+        let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
+        for n in 0..stretch.steps {
+            let middle = n as f64 + 0.5;
+            let Some((mut sample, tau)) = self.sample(stretch.at(middle), ray) else { continue };
+            if let Some((DepthCueing { front, density }, depth)) = &self.depth_cueing {
+                let point = ray.origin + ray.direction * stretch.distance(middle);
+                sample *= front * (-density * depth.of(point)).exp();
+            }
+            let opacity = -(-tau * stretch.length).exp_m1();
+            color += sample * (transmittance * opacity);
+            transmittance *= 1.0 - opacity;
+            if 1.0 - transmittance >= self.opaque {
+                break;
+            }
+        }
+        color.extend(1.0 - transmittance).as_vec4()
+    }
+
+    /// Shaded colour and extinction at index coordinates; `None` where it is transparent.
+    fn sample(&self, at: DVec3, ray: &Ray) -> Option<(DVec3, f64)> {
+        let place = self.field.place(at);
+        if self.occupied.as_ref().is_some_and(|occupied| !occupied[self.field.leaf(place)]) {
+            return None;
+        }
+        let value = self.volume.value_of_code(self.field.code(place));
+        let opacity = self.transfer.opacity(value);
+        if opacity <= 0.0 {
+            return None;
+        }
+        let tau = extinction(opacity, self.reference_length);
+        let color = DVec3::from_array(self.transfer.color(value));
+        let (color, tau) = self.on_gradient(place, color, tau, -ray.direction);
+        (tau > 0.0).then_some((color, tau))
+    }
+
+    /// Colour and extinction after what depends on the gradient: light and gradient opacity.
+    fn on_gradient(&self, place: Place, color: DVec3, tau: f64, to_eye: DVec3) -> (DVec3, f64) {
+        if self.shading.is_none() && self.transfer.gradient_opacity.is_empty() {
+            return (color, tau);
+        }
+        let gradient = self.field.gradient(place);
+        let color = self.shading.map_or(color, |shading| lit(color, gradient, to_eye, shading));
+        (color, tau * self.transfer.gradient_factor(gradient.length()))
+    }
+}
+
+/// The colour under the lights: ambient and diffuse times the colour, specular added, at most 1.
+fn lit(color: DVec3, gradient: DVec3, to_eye: DVec3, shading: &Shading) -> DVec3 {
+    let Some(normal) = gradient.try_normalize() else {
+        return (color * (shading.ambient + shading.diffuse)).min(DVec3::ONE);
+    };
+    let (mut diffuse, mut specular) = (shading.ambient, 0.0);
+    for light in &shading.lights {
+        let (towards, half, intensity) = match *light {
+            Light::Headlight => (to_eye, to_eye, 1.0),
+            Light::Directional { direction, intensity } => {
+                let towards = direction.normalize();
+                (towards, (towards + to_eye).try_normalize().unwrap_or(to_eye), intensity)
+            }
+        };
+        diffuse += intensity * shading.diffuse * normal.dot(towards).abs();
+        specular += intensity * shading.specular * normal.dot(half).abs().powf(shading.shininess);
+    }
+    (color * diffuse + specular).min(DVec3::ONE)
+}
+
+/// Depth along the camera's axis: 0 at the front of the volume's bounding sphere, 1 at its back.
+struct Depth {
+    front: DVec3,
+    forward: DVec3,
+    diameter: f64,
+}
+
+impl Depth {
+    fn new(view: &View, volume: &Volume) -> Self {
+        let (forward, radius) = (view.forward(), volume.radius());
+        Self { front: volume.centre() - forward * radius, forward, diameter: 2.0 * radius }
+    }
+
+    fn of(&self, point: DVec3) -> f64 {
+        (point - self.front).dot(self.forward) / self.diameter
+    }
+}

@@ -1,0 +1,83 @@
+//! Intensity projections: the largest, the smallest or the mean scalar on a ray, as an opaque gray.
+//!
+//! Samples lie at both ends of every step, so that the ray's own ends count; the mean is that of the
+//! straight lines between samples.
+//!
+//! A leaf of the octree bounds what is interpolated in it, so a sample is passed over where its
+//! leaf's range holds nothing beyond what was found, and needs no interpolation where the leaf is of
+//! one scalar throughout.
+
+use glam::Vec4;
+
+use super::Stretch;
+use super::field::{Field, Place};
+use crate::render::{IntensityProjection, Window};
+use crate::volume::Volume;
+use crate::volume::gradient::Code;
+use crate::volume::octree::MinMaxOctree;
+
+/// One of the projections of a volume.
+pub(super) struct Intensity<'a, T> {
+    field: Field<'a, T>,
+    volume: &'a Volume,
+    which: IntensityProjection,
+    window: Window,
+    /// `None`: every sample is interpolated.
+    octree: Option<&'a MinMaxOctree>,
+}
+
+impl<'a, T: Code> Intensity<'a, T> {
+    pub(super) fn new(
+        field: Field<'a, T>,
+        volume: &'a Volume,
+        which: IntensityProjection,
+        window: Window,
+        octree: Option<&'a MinMaxOctree>,
+    ) -> Self {
+        Self { field, volume, which, window, octree }
+    }
+
+    /// The gray of a ray inside the volume.
+    pub(super) fn pixel(&self, stretch: &Stretch) -> Vec4 {
+        let code = match self.which {
+            IntensityProjection::Maximum => self.maximum(stretch),
+            IntensityProjection::Minimum => self.minimum(stretch),
+            IntensityProjection::Average => self.average(stretch),
+        };
+        let Window { center, width } = self.window;
+        let gray = (self.volume.value_of_code(code) - (center - width / 2.0)) / width;
+        Vec4::splat(gray.clamp(0.0, 1.0) as f32).with_w(1.0)
+    }
+
+    fn maximum(&self, stretch: &Stretch) -> f64 {
+        (0..=stretch.steps).fold(f64::NEG_INFINITY, |found, n| {
+            let place = self.field.place(stretch.at(n as f64));
+            if self.range(place).1 <= found { found } else { found.max(self.field.code(place)) }
+        })
+    }
+
+    fn minimum(&self, stretch: &Stretch) -> f64 {
+        (0..=stretch.steps).fold(f64::INFINITY, |found, n| {
+            let place = self.field.place(stretch.at(n as f64));
+            if self.range(place).0 >= found { found } else { found.min(self.field.code(place)) }
+        })
+    }
+
+    fn average(&self, stretch: &Stretch) -> f64 {
+        let code = |n: u64| {
+            let place = self.field.place(stretch.at(n as f64));
+            let (low, high) = self.range(place);
+            if low == high { low } else { self.field.code(place) }
+        };
+        let inner: f64 = (1..stretch.steps).map(code).sum();
+        (inner + 0.5 * (code(0) + code(stretch.steps))) / stretch.steps as f64
+    }
+
+    /// The codes of the place's leaf; any, where nothing is skipped.
+    fn range(&self, place: Place) -> (f64, f64) {
+        self.octree.map_or((f64::NEG_INFINITY, f64::INFINITY), |octree| {
+            let (low, high) = octree.leaf(self.field.leaf(place)).code;
+            (low.into(), high.into())
+        })
+    }
+}
