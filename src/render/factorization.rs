@@ -66,8 +66,7 @@ pub struct Factorization {
     pub size: [usize; 2],
     /// The camera's axis in the world, unit; under parallel projection the rays' direction.
     pub direction: DVec3,
-    /// Length of a ray between two slices, mm; in perspective, the middle between the shortest and
-    /// the longest.
+    /// Length of a ray between two slices, mm; in perspective, of the shortest.
     pub slice_distance: f64,
     /// World mm that the ray of pixel (u, v, 1) advances by from slice to slice.
     ray: DMat3,

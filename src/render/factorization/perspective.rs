@@ -226,7 +226,7 @@ impl Pyramid {
             shear: Shear::Perspective { eye, distance, origin, directions },
             size: [0, 1].map(|n| extent[1][n] as usize + 2),
             direction: view.forward(),
-            slice_distance: middle_length(ray, extent),
+            slice_distance: shortest_length(ray, extent),
             ray,
             sheared_from_image: DMat3::from_cols(
                 sheared(directions.x_axis),
@@ -262,13 +262,19 @@ fn cut(polygon: &[DVec2], half: DVec3) -> Vec<DVec2> {
     left
 }
 
-/// The geometric mean of the shortest and the longest slab over an intermediate image.
-fn middle_length(ray: DMat3, [low, high]: [DVec2; 2]) -> f64 {
-    const STEPS: u32 = 8;
-    let at = |n: u32| f64::from(n) / f64::from(STEPS);
-    let points = (0..=STEPS).flat_map(|u| (0..=STEPS).map(move |v| DVec2::new(at(u), at(v))));
-    let lengths = points.map(|p| (ray * (low + (high - low) * p).extend(1.0)).length());
-    let (least, most) =
-        lengths.fold((f64::INFINITY, 0.0), |(least, most): (f64, f64), length| (least.min(length), most.max(length)));
-    (least * most).sqrt()
+/// The shortest slab over an intermediate image, whose pixels' rays advance by `ray` times (u, v, 1). The
+/// length is a convex function of (u, v), so steps towards its minimum find it.
+fn shortest_length(ray: DMat3, [low, high]: [DVec2; 2]) -> f64 {
+    let along = |at: DVec2, axis: usize| {
+        let mut end = at;
+        end[axis] = 0.0;
+        let (from, step) = (ray * end.extend(1.0), ray.col(axis));
+        end[axis] = (-from.dot(step) / step.length_squared()).clamp(low[axis], high[axis]);
+        end
+    };
+    let mut at = (low + high) / 2.0;
+    for _ in 0..8 {
+        at = along(along(at, 0), 1);
+    }
+    (ray * at.extend(1.0)).length()
 }
