@@ -335,7 +335,7 @@ pub struct Scene<'a> {
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    match settings.way() {
+    match settings.way(view) {
         Way::ImageOrder | Way::ShearImage => Ok(()),
         Way::ShearWarp => match settings.algorithm {
             Algorithm::FastClassification => Err(RenderError::Unsupported {
@@ -355,10 +355,12 @@ enum Way {
 }
 
 impl Settings {
-    fn way(&self) -> Way {
-        match (self.algorithm, self.blend) {
-            (Algorithm::Raycast, _) => Way::ImageOrder,
-            (_, Blend::Projection(..)) | (Algorithm::Preintegrated, _) => Way::ShearImage,
+    fn way(&self, view: &View) -> Way {
+        match (self.algorithm, self.blend, self.quality, view.projection()) {
+            (Algorithm::Raycast, ..) => Way::ImageOrder,
+            (_, Blend::Projection(..), ..)
+            | (Algorithm::Preintegrated, _, Quality::High, _)
+            | (Algorithm::Preintegrated, _, _, Projection::Perspective) => Way::ShearImage,
             _ => Way::ShearWarp,
         }
     }
@@ -375,7 +377,7 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match settings.way() {
+    match settings.way(view) {
         Way::ImageOrder => reference(scene, view, settings, cancel),
         Way::ShearImage => shear_image::frame(scene, view, settings, cancel),
         Way::ShearWarp => shear_warp::frame(scene, view, settings, cancel),

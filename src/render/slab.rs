@@ -77,7 +77,7 @@ impl Correction for RayByRay {
 /// Near `(1 - (1 - alpha)^length) / alpha`, see [`RayByRay`].
 #[inline(always)]
 pub fn opacity_ratio(alpha: f32, length: f32) -> f32 {
-    if length < 1.0 {
+    if length < 0.999 {
         return shorter(alpha, length);
     }
     let half = 0.5 * length;

@@ -8,3 +8,4 @@ mod layering;
 mod perspective;
 mod scenes;
 mod shear_image;
+mod slabs;

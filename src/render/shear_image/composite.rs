@@ -112,6 +112,30 @@ struct State {
     inside: (f32, f32),
     /// Lengths of rays in units of the table's.
     ratio: Lanes,
+    /// Factor on the colour and addend, as last asked for.
+    light: [Lanes; 2],
+    /// What was added to the pixels since then.
+    since: Lanes,
+}
+
+/// Light is taken from the slab before until this much of a pixel was made with it: a step of an 8-bit
+/// channel. Gradients are most of a lit frame's cost, and behind much that is translucent they are
+/// asked for in vain.
+const STALE_LIGHT: f32 = 1.0 / 255.0;
+
+impl State {
+    /// The lanes of `shown` whose light must be asked for anew.
+    #[inline(always)]
+    fn unlit(&mut self, shown: u32, slabs: &[Vec4; LANES]) -> u32 {
+        let mut unlit = 0;
+        for lane in 0..LANES {
+            let since = self.since[lane] + slabs[lane].w * (1.0 - self.pixels[lane].w);
+            let stale = since > STALE_LIGHT;
+            self.since[lane] = if stale { 0.0 } else { since };
+            unlit |= u32::from(stale) << lane;
+        }
+        unlit & shown
+    }
 }
 
 impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composite<'_, T, S, LIT, SCALED> {
@@ -121,7 +145,14 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composit
         let open = packet.hits();
         let per_length = self.walk.per_length;
         let ratio = per_length.map_or([1.0; LANES], |per_length| packet.length.map(|length| length * per_length));
-        let mut state = State { pixels: [Vec4::ZERO; LANES], open, inside: packet.inside(open), ratio };
+        let mut state = State {
+            pixels: [Vec4::ZERO; LANES],
+            open,
+            inside: packet.inside(open),
+            ratio,
+            light: [[0.0; LANES]; 2],
+            since: [f32::INFINITY; LANES],
+        };
         let (enter, leave) = packet.span();
         let end = (leave.ceil() as usize).min(sampler.dims()[packet.axis] - 1);
         let step = 1.0 / *steps as f32;
@@ -213,17 +244,28 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         if shown == 0 {
             return;
         }
-        let gradients = if LIT || (SCALED && self.walk.gradient_opacity.is_some()) {
-            self.gradients(packet, middles, shown)
+        let by_gradient = SCALED && self.walk.gradient_opacity.is_some();
+        let asked = if by_gradient {
+            shown
+        } else if LIT {
+            state.unlit(shown, &slabs)
         } else {
-            [[0.0; LANES]; 3]
+            0
         };
+        let gradients = if asked != 0 { self.gradients(packet, middles, asked) } else { [[0.0; LANES]; 3] };
         self.scale(state, &gradients, &mut slabs, shares);
         if LIT && let Some(lighting) = self.walk.lighting {
-            let [factors, addends] = lighting.shade(&gradients, &packet.to_eye);
+            if asked != 0 {
+                let light = lighting.shade(&gradients, &packet.to_eye);
+                for lane in 0..LANES {
+                    if asked >> lane & 1 == 1 {
+                        [state.light[0][lane], state.light[1][lane]] = [light[0][lane], light[1][lane]];
+                    }
+                }
+            }
             for lane in 0..LANES {
                 let opacity = Vec4::splat(slabs[lane].w);
-                let lit = (slabs[lane] * factors[lane] + opacity * addends[lane]).min(opacity);
+                let lit = (slabs[lane] * state.light[0][lane] + opacity * state.light[1][lane]).min(opacity);
                 slabs[lane] = lit.with_w(slabs[lane].w);
             }
         }
