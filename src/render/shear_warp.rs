@@ -28,14 +28,14 @@ pub(super) fn frame(
     let parts = Factorization::parts(view, scene.prepared.volume())?;
 
     // Shear, resample and composite the slices into an intermediate image for each part.
-    let (mut shade, mut preintegration_table) = (start.elapsed(), Duration::ZERO);
+    let (mut shade, mut tables) = (start.elapsed(), Duration::ZERO);
     let mut images = vec![];
     for factorization in &parts {
         let begun = Instant::now();
-        let (image, ready, table) = part(scene, view, factorization, settings, cancel)?;
+        let (image, Begun { at, preintegration_table }) = part(scene, view, factorization, settings, cancel)?;
         images.push(image);
-        preintegration_table += table;
-        shade += ready - begun - table;
+        shade += at - begun - preintegration_table;
+        tables += preintegration_table;
     }
     let composite = start.elapsed();
 
@@ -48,19 +48,19 @@ pub(super) fn frame(
     warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
     let render = start.elapsed();
 
-    let composite_only = composite - shade - preintegration_table;
-    let timings = Timings { preintegration_table, shade, composite: composite_only, warp: render - composite, render };
+    let (composite, warp) = (composite - shade - tables, render - composite);
+    let timings = Timings { preintegration_table: tables, shade, composite, warp, render };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
 }
 
-/// The intermediate image of a part of the view, when its tables were there, and how long that of slabs took.
+/// The intermediate image of a part of the view.
 fn part(
     scene: &Scene<'_>,
     view: &View,
     factorization: &Factorization,
     settings: &Settings,
     cancel: &Cancel,
-) -> Result<(IntermediateImage, Instant, Duration), RenderError> {
+) -> Result<(IntermediateImage, Begun), RenderError> {
     // Make the tables that depend on the view: light by normal (in perspective there is none, for
     // every ray has its own), fading by depth, and, in the pass, opacity and colour by code or by
     // pairs of them.
@@ -84,11 +84,11 @@ fn part(
         cancel,
     };
     let mut image = IntermediateImage::new(factorization.size);
-    let (ready, table) = match settings.algorithm {
-        Algorithm::Preintegrated => pass.slabs(&mut image)?,
-        _ => (pass.voxels(&mut image)?, Duration::ZERO),
-    };
-    Ok((image, ready, table))
+    let begun = match settings.algorithm {
+        Algorithm::Preintegrated => pass.slabs(&mut image),
+        _ => pass.voxels(&mut image),
+    }?;
+    Ok((image, begun))
 }
 
 /// What compositing takes from the frame, whatever its type parameters.
@@ -105,15 +105,21 @@ struct Pass<'a> {
     cancel: &'a Cancel,
 }
 
+/// When compositing began, and how long of the time before a pre-integration table took.
+struct Begun {
+    at: Instant,
+    preintegration_table: Duration,
+}
+
 impl Pass<'_> {
-    /// Composites into `image`; gives when that began.
+    /// Composites into `image`.
     fn run(
         &self,
         composite: &(impl Composite + naive::Pixels),
         image: &mut IntermediateImage,
-    ) -> Result<Instant, RenderError> {
-        let begun = Instant::now();
+    ) -> Result<Begun, RenderError> {
+        let at = Instant::now();
         if self.settings.skipping { composite.run(image) } else { naive::run(composite, image, self.cancel) }?;
-        Ok(begun)
+        Ok(Begun { at, preintegration_table: Duration::ZERO })
     }
 }

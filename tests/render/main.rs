@@ -6,6 +6,8 @@ mod golden;
 mod invariance;
 mod layering;
 mod perspective;
+mod projections;
+mod ramp;
 mod scenes;
 mod shear_image;
 mod slabs;

@@ -69,7 +69,7 @@ impl Form {
 
 /// Rounding of a sampled scalar and of its position, as a share of the scalar: what is resampled from
 /// voxels of code `c` alone is within `c * ROUNDING` of it.
-const ROUNDING: f32 = 1e-6;
+const ROUNDING: f32 = 1e-5;
 
 impl SlabAxis {
     /// Position of a (fractional) code on the axis, 0..=entries - 1.

@@ -94,9 +94,9 @@ impl<'a, T: Code> VoxelRows<'a, T> {
                 [factor, addend] = light.of_gradients(&self.gradients(j, k, first), [first, j, k]);
             }
         }
-        if let Some(transfer) = self.gradient_opacity {
-            for n in 0..BLOCK {
-                density[n] = self.gradient_factor(transfer, [(first + n).min(self.dims[0] - 1), j, k]);
+        if self.has_gradient_opacity() {
+            for (n, density) in density.iter_mut().enumerate() {
+                *density = f32::from(self.gradient_factor([first + n, j, k])) / 255.0;
             }
         }
         let mut samples = [Vec4::ZERO; BLOCK];
@@ -109,7 +109,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// Codes of the normals of eight voxels, those of
     /// [`quantized_normals`](crate::volume::gradient::quantized_normals).
     #[inline(always)]
-    fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
+    pub fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
         let along = self.gradients(j, k, first);
         let mut normals = [0; BLOCK];
         for n in 0..BLOCK {
@@ -142,14 +142,38 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         along
     }
 
-    /// The gradient opacity of voxel (i, j, k), 0..=1 in steps of 1/255.
-    fn gradient_factor(&self, transfer: &TransferFunction, at: [usize; 3]) -> f32 {
+    /// Codes of eight voxels, the scanline's last one repeated past its end.
+    #[inline(always)]
+    pub fn codes(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
+        let row = self.scanlines.row(j, k);
+        let mut codes = [0; BLOCK];
+        if let Some(whole) = row.get(first..first + BLOCK) {
+            for n in 0..BLOCK {
+                codes[n] = whole[n].into();
+            }
+        } else {
+            for (n, code) in codes.iter_mut().enumerate() {
+                *code = row[(first + n).min(row.len() - 1)].into();
+            }
+        }
+        codes
+    }
+
+    /// True where the gradient has an influence on opacity.
+    #[inline(always)]
+    pub fn has_gradient_opacity(&self) -> bool {
+        self.gradient_opacity.is_some()
+    }
+
+    /// The gradient opacity of voxel (i, j, k), 255 = 1; that of the scanline's last voxel past its end.
+    pub fn gradient_factor(&self, [i, j, k]: [usize; 3]) -> u8 {
+        let Some(transfer) = self.gradient_opacity else { return u8::MAX };
         let mut index = [0; 3];
-        for (axis, at) in self.permutation.into_iter().zip(at) {
+        for (axis, at) in self.permutation.into_iter().zip([i.min(self.dims[0] - 1), j, k]) {
             index[axis] = at;
         }
         let magnitude = gradient_at(self.volume, &self.frame, index).length();
-        (transfer.gradient_factor(magnitude) * 255.0).round() as f32 / 255.0
+        (transfer.gradient_factor(magnitude) * 255.0).round() as u8
     }
 }
 

@@ -221,7 +221,7 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
         lengths: &[f32],
     ) {
         let lit = self.voxels.is_lit();
-        let along_v = self.cue.map_or(1.0, |cue| cue.along_v[v] * slab.cue);
+        let along_v = self.cue.map_or(1.0, |cue| slab.cue * cue.along_v[v]);
         for (u, length) in Runs::new(pixels) {
             let run = Run {
                 pixels: &mut scanline.pixels[u..][..length],

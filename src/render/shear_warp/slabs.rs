@@ -1,8 +1,8 @@
 //! The pass of slabs: which table the options ask for, and the kernel's type parameters.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use super::Pass;
+use super::{Begun, Pass};
 use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
 use crate::render::composite::lattice::{self, Unit};
 use crate::render::composite::naive::NaiveLattice;
@@ -16,8 +16,8 @@ use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
 impl Pass<'_> {
-    /// Composites slabs into `image`; gives when the tables were there, and how long that of slabs took.
-    pub(super) fn slabs(&self, image: &mut IntermediateImage) -> Result<(Instant, Duration), RenderError> {
+    /// Composites slabs into `image`.
+    pub(super) fn slabs(&self, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
         let options = &self.settings.preintegration;
         let volume = self.scene.prepared.volume();
         let distance = volume.placement().spacing[self.factorization.principal_axis];
@@ -34,11 +34,11 @@ impl Pass<'_> {
         let making = Instant::now();
         let table = tables.table(form, (made_for / options.samples_per_voxel as f64) as f32);
         let preintegration_table = making.elapsed();
-        let ready = match options.lookup {
+        let begun = match options.lookup {
             Lookup::Nearest => self.with_table(Nearest(&table), scaled, length, image),
             Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
         }?;
-        Ok((ready, preintegration_table))
+        Ok(Begun { preintegration_table, ..begun })
     }
 
     fn with_table<S: Slabs>(
@@ -47,7 +47,7 @@ impl Pass<'_> {
         scaled: bool,
         length: f64,
         image: &mut IntermediateImage,
-    ) -> Result<Instant, RenderError> {
+    ) -> Result<Begun, RenderError> {
         let off = self.settings.preintegration.opacity_correction == OpacityCorrection::Off;
         match (scaled, self.factorization.is_parallel()) {
             (true, true) => self.with_correction(Unit, table, Scaled { length: length as f32 }, image),
@@ -65,7 +65,7 @@ impl Pass<'_> {
         table: S,
         correction: C,
         image: &mut IntermediateImage,
-    ) -> Result<Instant, RenderError> {
+    ) -> Result<Begun, RenderError> {
         match self.scene.prepared.scanlines(self.factorization.principal_axis) {
             AnyScanlines::U8(scanlines) => self.with_scanlines(lattice, table, correction, scanlines, image),
             AnyScanlines::U16(scanlines) => self.with_scanlines(lattice, table, correction, scanlines, image),
@@ -79,7 +79,7 @@ impl Pass<'_> {
         correction: C,
         scanlines: Scanlines<'_, T>,
         image: &mut IntermediateImage,
-    ) -> Result<Instant, RenderError> {
+    ) -> Result<Begun, RenderError> {
         let Self { scene, factorization, settings, .. } = *self;
         let light = match (self.table, self.ray_light) {
             (Some(table), _) => VoxelLight::ByNormal(table.entries()),
