@@ -245,13 +245,16 @@ impl Factorization {
         !self.clip.is_empty()
     }
 
-    /// The index coordinates (the volume's axes x, y, z) of pixel (u, v) of a slice, which may be
-    /// between two slices of voxels.
-    pub fn index_from_sheared(&self, u: f64, v: f64, k: f64) -> DVec3 {
+    /// Voxel coordinates i, j, k of pixel (u, v) of a slice, which may be between two slices of voxels.
+    pub fn voxel_from_sheared(&self, u: f64, v: f64, k: f64) -> DVec3 {
         let Lattice { offset, scale } = self.lattice(k);
-        let in_slice = offset + DVec2::new(u, v) * scale;
+        (offset + DVec2::new(u, v) * scale).extend(k)
+    }
+
+    /// Index coordinates (the volume's axes x, y, z) of voxel coordinates i, j, k.
+    pub fn index_from_voxel(&self, voxel: DVec3) -> DVec3 {
         let mut index = DVec3::ZERO;
-        for (axis, at) in PERMUTATIONS[self.principal_axis].into_iter().zip([in_slice.x, in_slice.y, k]) {
+        for (axis, at) in PERMUTATIONS[self.principal_axis].into_iter().zip(voxel.to_array()) {
             index[axis] = at;
         }
         index
@@ -295,6 +298,13 @@ impl Factorization {
     /// TEMPORARY
     pub fn ray_of(&self, u: usize, v: usize) -> DVec3 {
         self.ray * DVec3::new(u as f64, v as f64, 1.0)
+    }
+
+    /// [`Self::relative_length`] of all pixels of some scanlines.
+    pub fn relative_lengths(&self, vs: Range<usize>, lengths: &mut Vec<f32>) {
+        lengths.clear();
+        let pixels = vs.flat_map(|v| (0..self.size[0]).map(move |u| (u, v)));
+        lengths.extend(pixels.map(|(u, v)| self.relative_length(u, v)));
     }
 
     /// Length of the ray of pixel (u, v) between two slices, in units of [`Self::slice_distance`].

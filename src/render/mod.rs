@@ -6,6 +6,7 @@ mod image;
 pub mod intermediate;
 pub mod lighting;
 pub mod material;
+pub mod ray_light;
 pub mod shade;
 mod shear_image;
 mod shear_warp;

@@ -5,11 +5,11 @@ mod voxels;
 
 use std::time::{Duration, Instant};
 
-use super::composite::cue::DepthTables;
-use super::composite::ray_light::RayLight;
+use super::composite::cue::Cue;
 use super::composite::{Composite, naive};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
+use super::ray_light::RayLight;
 use super::shade::ShadingTable;
 use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
 use crate::classify::Classification;
@@ -72,7 +72,7 @@ fn part(
         None => shading.map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame)),
         Some(_) => None,
     };
-    let cue = settings.depth_cueing.as_ref().map(|cueing| DepthTables::new(cueing, view, volume, factorization));
+    let cue = settings.depth_cueing.as_ref().map(|cueing| Cue::new(cueing, view, volume, factorization));
     let pass = Pass {
         scene,
         classification: scene.classification.expect("the algorithm needs a classification"),
@@ -100,7 +100,7 @@ struct Pass<'a> {
     /// Where the volume is shaded: by normal under parallel projection, by ray in perspective.
     table: Option<&'a ShadingTable>,
     ray_light: Option<&'a RayLight>,
-    cue: Option<&'a DepthTables>,
+    cue: Option<&'a Cue>,
     settings: &'a Settings,
     cancel: &'a Cancel,
 }

@@ -62,7 +62,7 @@ fn cameras(scene: &Prepared) -> Vec<Camera> {
     around.into_iter().chain(near).collect()
 }
 
-const ALGORITHMS: [Algorithm; 1] = [Algorithm::Preintegrated];
+const ALGORITHMS: [Algorithm; 3] = [Algorithm::Preintegrated, Algorithm::Classified, Algorithm::FastClassification];
 
 #[test]
 fn skipping_changes_no_bit_in_perspective() {

@@ -12,11 +12,12 @@ use super::over;
 use super::samples::{Position, VoxelRows, lerp};
 use super::slabs::SlabComposite;
 use super::sources::VoxelSource;
-use super::voxels::{Voxels, Weights};
+use super::voxels::{VoxelLattice, Voxels, Weights};
 use crate::classify::preintegration::Slabs;
-use crate::render::factorization::SlicePlacement;
+use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::IntermediateImage;
-use crate::render::slab::Correction;
+use crate::render::material::Light;
+use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{Cancel, RenderError};
 use crate::volume::gradient::Code;
 
@@ -43,32 +44,23 @@ pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel)
     })
 }
 
-impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Pixels for Voxels<'_, V, LIT, FACTORED> {
+impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Pixels
+    for Voxels<'_, L, V, H, FACTORED>
+{
     fn pixel(&self, u: usize, v: usize) -> Vec4 {
         let f = self.factorization;
         let mut pixel = Vec4::ZERO;
-        for step in 0..f.dims[2] {
-            let k = if f.reversed { f.dims[2] - 1 - step } else { step };
-            let slice = f.slice(k);
-            if !contains(&slice, f.dims, [u, v]) || f.is_clipped() && !f.visible_pixels(v, k as f64).contains(&u) {
+        for step in 0..f.slices.len() {
+            let k = if f.reversed { f.slices.end - 1 - step } else { f.slices.start + step };
+            if f.is_clipped() && !f.visible_pixels(v, k as f64).contains(&u) {
                 continue;
             }
-            let (i, j) = (u - slice.first[0], v - slice.first[1]);
-            let material = self.material.slice(f.share(k));
-            // Past the end, where the weight is zero, there is nothing.
-            let voxel = |i: usize, j: usize| match self.source.voxel([i, j, k]).filter(|_| i < f.dims[0]) {
-                Some((voxel, factor)) => material.color(voxel, factor),
-                None => Vec4::ZERO,
-            };
-            let row = |j: usize| [voxel(i, j), voxel(i + 1, j)];
-            let weights = Weights::new(slice.fraction[0], slice.fraction[1]);
-            let mut sample = if slice.fraction[1] > 0.0 {
-                weights.sample::<true>(row(j), row(j + 1))
-            } else {
-                weights.sample::<false>(row(j), [Vec4::ZERO; 2])
-            };
+            let Some(mut sample) = L::on_slice(f, k, [u, v], |i, j| self.color([i, j, k])) else { continue };
+            if L::LENGTHS {
+                sample *= opacity_ratio(sample.w, f.relative_length(u, v));
+            }
             if let Some(cue) = self.cue {
-                sample = (sample * (cue.slice(k as f64) * cue.along_v[v] * cue.along_u[u])).with_w(sample.w);
+                sample = (sample * cue.slice(k as f64).scanline(v).at(u)).with_w(sample.w);
             }
             pixel = over(pixel, sample);
             if pixel.w >= self.opaque {
@@ -76,6 +68,21 @@ impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Pixels for Voxels<'_
             }
         }
         pixel
+    }
+}
+
+impl<L, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
+    /// The colour of a voxel, zero where it is transparent. Past the end, where the weight is zero, there
+    /// is nothing.
+    fn color(&self, at: [usize; 3]) -> Vec4 {
+        let material = self.material.slice(self.factorization.share(at[2]));
+        match self.source.voxel(at).filter(|_| at[0] < self.factorization.dims[0]) {
+            Some((voxel, factor)) => {
+                let [[scale], [add]] = material.light(&[voxel.normal], at);
+                material.color(voxel.code, factor, [scale, add])
+            }
+            None => Vec4::ZERO,
+        }
     }
 }
 
@@ -96,6 +103,15 @@ pub trait NaiveLattice: Lattice {
         position: &Position<Self::Placement>,
         pixel: [usize; 2],
     ) -> Vec4;
+
+    /// What is resampled at pixel (u, v) of slice `k` of voxels, which `voxel` gives by i and j; `None` where
+    /// the pixel does not lie on the slice.
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        pixel: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4>;
 }
 
 impl<L: NaiveLattice, T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, T, S, C> {
@@ -118,8 +134,8 @@ impl<L: NaiveLattice, T: Code, S: Slabs, C: Correction> Pixels for SlabComposite
             } else {
                 self.sample::<false>(front, back, length)
             };
-            if let Some(cue) = self.cue {
-                sample = (sample * (slab.cue * cue.along_v[v] * cue.along_u[u])).with_w(sample.w);
+            if let Some(cue) = slab.cue {
+                sample = (sample * cue.scanline(v).at(u)).with_w(sample.w);
             }
             pixel = over(pixel, sample);
             if pixel.w >= self.opaque {
@@ -149,6 +165,26 @@ impl NaiveLattice for Unit {
         let near = on_slice(position.near);
         position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
     }
+
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        [u, v]: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4> {
+        let slice = factorization.slice(k);
+        if !contains(&slice, factorization.dims, [u, v]) {
+            return None;
+        }
+        let (i, j) = (u - slice.first[0], v - slice.first[1]);
+        let row = |j: usize| [voxel(i, j), voxel(i + 1, j)];
+        let weights = Weights::new(slice.fraction[0], slice.fraction[1]);
+        Some(if slice.fraction[1] > 0.0 {
+            weights.sample::<true>(row(j), row(j + 1))
+        } else {
+            weights.sample::<false>(row(j), [Vec4::ZERO; 2])
+        })
+    }
 }
 
 impl NaiveLattice for Scaled {
@@ -158,18 +194,31 @@ impl NaiveLattice for Scaled {
         position: &Position<[Footprint; 2]>,
         [u, v]: [usize; 2],
     ) -> Vec4 {
-        let [along_u, along_v] = position.placement;
-        let under = |footprint: Footprint, at: usize| {
-            let first = footprint.first(at);
-            (first..first + footprint.taps()).map(move |voxel| (voxel, footprint.weight(at, voxel)))
-        };
-        let on_slice = |k: usize| {
-            let column = |i: usize| sum(under(along_v, v).map(|(j, weight)| voxels.block(j, k, i)[0] * weight));
-            sum(under(along_u, u).map(|(i, weight)| column(i) * weight))
-        };
+        let on_slice = |k: usize| scaled(position.placement, [u, v], |i, j| voxels.block(j, k, i)[0]);
         let near = on_slice(position.near);
         position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
     }
+
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        [u, v]: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4> {
+        let placement = Self::placement(factorization, k as f64);
+        let [us, vs] = Self::inside(factorization, &placement);
+        (us.contains(&u) && vs.contains(&v)).then(|| scaled(placement, [u, v], voxel))
+    }
+}
+
+/// The voxels under a pixel, weighted: scanlines first.
+fn scaled([along_u, along_v]: [Footprint; 2], [u, v]: [usize; 2], voxel: impl Fn(usize, usize) -> Vec4) -> Vec4 {
+    let under = |footprint: Footprint, at: usize| {
+        let first = footprint.first(at);
+        (first..first + footprint.taps()).map(move |voxel| (voxel, footprint.weight(at, voxel)))
+    };
+    let column = |i: usize| sum(under(along_v, v).map(|(j, weight)| voxel(i, j) * weight));
+    sum(under(along_u, u).map(|(i, weight)| column(i) * weight))
 }
 
 /// The sum of one or more, from the first on.

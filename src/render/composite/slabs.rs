@@ -22,7 +22,7 @@ use std::ops::Range;
 
 use glam::Vec4;
 
-use super::cue::DepthTables;
+use super::cue::{Cue, ScanlineCue, SliceCue};
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use super::occupied::Occupied;
@@ -45,7 +45,7 @@ pub struct SlabComposite<'a, L, T, S, C> {
     pub table: S,
     pub correction: C,
     /// `None`: nothing fades.
-    pub cue: Option<&'a DepthTables>,
+    pub cue: Option<&'a Cue>,
     /// Slabs from a slice of voxels to the next.
     pub steps: usize,
     pub buffer: BufferSlice,
@@ -76,7 +76,7 @@ struct Kept {
 }
 
 /// Where a slab lies.
-pub(super) struct Slab<P> {
+pub(super) struct Slab<'a, P> {
     number: usize,
     /// Slice of voxels below it, in the volume's order: the layer of cells that it is in.
     layer: usize,
@@ -89,8 +89,8 @@ pub(super) struct Slab<P> {
     /// Pixels along u and scanlines over which the middle is inside the volume.
     pub(super) pixels: Range<usize>,
     pub(super) scanlines: Range<usize>,
-    /// The factor of depth cueing along k.
-    pub(super) cue: f32,
+    /// Depth cueing in its middle.
+    pub(super) cue: Option<SliceCue<'a>>,
 }
 
 impl<L: Lattice, T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, T, S, C> {
@@ -115,10 +115,7 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'
             kept.pixels.clear();
         }
         if L::LENGTHS {
-            scratch.lengths.clear();
-            let pixels = (band.first..band.first + band.height())
-                .flat_map(|v| (0..self.factorization.size[0]).map(move |u| (u, v)));
-            scratch.lengths.extend(pixels.map(|(u, v)| self.factorization.relative_length(u, v)));
+            self.factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
         }
         for number in self.slabs() {
             if number % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
@@ -138,7 +135,7 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
         (f.start * self.steps as f64) as usize..f.layers() * self.steps
     }
 
-    pub(super) fn place(&self, number: usize) -> Slab<L::Placement> {
+    pub(super) fn place(&self, number: usize) -> Slab<'_, L::Placement> {
         let f = self.factorization;
         let [from, to] = [number, number + 1].map(|n| (n as f64 / self.steps as f64).max(f.start));
         let middle = f.along((from + to) / 2.0);
@@ -153,13 +150,13 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
             share: ((to - from) * self.steps as f64) as f32,
             pixels,
             scanlines,
-            cue: self.cue.map_or(1.0, |cue| cue.slice(middle)),
+            cue: self.cue.map(|cue| cue.slice(middle)),
         }
     }
 
     /// One slab into one band.
     #[inline(always)]
-    fn slab(&self, band: &mut Band<'_>, slab: &Slab<L::Placement>, scratch: &mut Scratch<L::Rows>) {
+    fn slab(&self, band: &mut Band<'_>, slab: &Slab<'_, L::Placement>, scratch: &mut Scratch<L::Rows>) {
         let rows = band.first..band.first + band.height();
         for v in slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end) {
             let row = v - band.first;
@@ -192,7 +189,7 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
 
     /// Finds the pixels of scanline `v` to work on; false where there is none.
     #[inline(always)]
-    fn find(&self, slab: &Slab<L::Placement>, v: usize, scanline: &ScanlineMut<'_>, pixels: &mut Mask) -> bool {
+    fn find(&self, slab: &Slab<'_, L::Placement>, v: usize, scanline: &ScanlineMut<'_>, pixels: &mut Mask) -> bool {
         pixels.clear();
         L::mark(
             self.factorization,
@@ -215,26 +212,28 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
         &self,
         scanline: &mut ScanlineMut<'_>,
         v: usize,
-        slab: &Slab<L::Placement>,
+        slab: &Slab<'_, L::Placement>,
         pixels: &Mask,
         samples: &BufferRow<'_>,
         lengths: &[f32],
     ) {
         let lit = self.voxels.is_lit();
-        let along_v = self.cue.map_or(1.0, |cue| slab.cue * cue.along_v[v]);
+        let cue = slab.cue.map(|cue| cue.scanline(v));
         for (u, length) in Runs::new(pixels) {
             let run = Run {
+                u,
+                cue,
                 pixels: &mut scanline.pixels[u..][..length],
                 front: &samples.front[(u as isize - samples.front_base) as usize..][..length],
                 back: &samples.back[(u as isize - samples.back_base) as usize..][..length],
                 lengths: if L::LENGTHS { &lengths[u..][..length] } else { &[] },
                 share: slab.share,
             };
-            let opaque = match (lit, self.cue.map(|cue| &cue.along_u[u..][..length])) {
-                (false, None) => self.blend_run::<false, false>(run, &[], along_v),
-                (false, Some(cue)) => self.blend_run::<false, true>(run, cue, along_v),
-                (true, None) => self.blend_run::<true, false>(run, &[], along_v),
-                (true, Some(cue)) => self.blend_run::<true, true>(run, cue, along_v),
+            let opaque = match (lit, cue.is_some()) {
+                (false, false) => self.blend_run::<false, false>(run),
+                (false, true) => self.blend_run::<false, true>(run),
+                (true, false) => self.blend_run::<true, false>(run),
+                (true, true) => self.blend_run::<true, true>(run),
             };
             if opaque != 0 {
                 clear_bits(scanline.non_opaque, u, opaque);
@@ -244,14 +243,14 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
 
     /// Blends consecutive pixels; gives the mask of those that became opaque.
     #[inline(always)]
-    fn blend_run<const LIT: bool, const CUED: bool>(&self, run: Run<'_>, along_u: &[f32], along_v: f32) -> u64 {
+    fn blend_run<const LIT: bool, const CUED: bool>(&self, run: Run<'_>) -> u64 {
         let mut opaque = 0;
         let samples = run.front.iter().zip(run.back);
         for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
             let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
             let mut sample = self.sample::<LIT>(*front, *back, length);
-            if CUED {
-                sample = (sample * (along_v * along_u[at])).with_w(sample.w);
+            if CUED && let Some(cue) = run.cue {
+                sample = (sample * cue.at(run.u + at)).with_w(sample.w);
             }
             *pixel = over(*pixel, sample);
             opaque |= u64::from(pixel.w >= self.opaque) << at;
@@ -270,6 +269,8 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
 
 /// Consecutive pixels and their samples.
 struct Run<'a> {
+    u: usize,
+    cue: Option<ScanlineCue<'a>>,
     pixels: &'a mut [Vec4],
     front: &'a [Vec4],
     back: &'a [Vec4],

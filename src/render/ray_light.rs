@@ -9,7 +9,7 @@
 //!
 //! All vectors are in the frame of the volume's normals.
 
-use glam::{DMat3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 
 use crate::render::factorization::Factorization;
 use crate::render::lighting::Lighting;
@@ -24,7 +24,7 @@ pub struct RayLight {
     /// From a voxel to the next along i, j, k, mm.
     steps: DMat3,
     /// The eye as seen from voxel (0, 0, 0).
-    eye: glam::DVec3,
+    eye: DVec3,
 }
 
 impl RayLight {
@@ -66,11 +66,13 @@ impl RayLight {
     /// Unit vectors to the eye from consecutive voxels.
     #[inline(always)]
     fn to_eye<const N: usize>(&self, at: [usize; 3]) -> [[f32; N]; 3] {
-        let start = (self.eye - self.steps * glam::DVec3::from_array(at.map(|n| n as f64))).as_vec3();
+        // From the scanline's first voxel, so that it does not matter where a block begins.
+        let [i, j, k] = at.map(|n| n as f64);
+        let start = (self.eye - self.steps * DVec3::new(0.0, j, k)).as_vec3();
         let step = self.steps.x_axis.as_vec3();
         let mut to_eye = [[0.0; N]; 3];
         for n in 0..N {
-            let Vec3 { x, y, z } = start - step * n as f32;
+            let Vec3 { x, y, z } = start - step * (i as f32 + n as f32);
             let length = (x * x + y * y + z * z).sqrt();
             // An eye on a voxel does not see it.
             let scale = if length > 0.0 { 1.0 / length } else { 0.0 };
