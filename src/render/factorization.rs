@@ -295,11 +295,6 @@ impl Factorization {
         DMat3::from_cols(i, j, k)
     }
 
-    /// TEMPORARY
-    pub fn ray_of(&self, u: usize, v: usize) -> DVec3 {
-        self.ray * DVec3::new(u as f64, v as f64, 1.0)
-    }
-
     /// [`Self::relative_length`] of all pixels of some scanlines.
     pub fn relative_lengths(&self, vs: Range<usize>, lengths: &mut Vec<f32>) {
         lengths.clear();

@@ -336,7 +336,7 @@ pub struct Scene<'a> {
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    match settings.way(view) {
+    match settings.way() {
         Way::ImageOrder | Way::ShearImage => Ok(()),
         Way::ShearWarp => Factorization::parts(view, volume).map(|_| ()),
     }
@@ -350,12 +350,10 @@ enum Way {
 }
 
 impl Settings {
-    fn way(&self, view: &View) -> Way {
-        match (self.algorithm, self.blend, self.quality, view.projection()) {
+    fn way(&self) -> Way {
+        match (self.algorithm, self.blend, self.quality) {
             (Algorithm::Raycast, ..) => Way::ImageOrder,
-            (_, Blend::Projection(..), ..)
-            | (Algorithm::Preintegrated, _, Quality::High, _)
-            | (Algorithm::Preintegrated, _, _, Projection::Perspective) => Way::ShearImage,
+            (_, Blend::Projection(..), _) | (Algorithm::Preintegrated, _, Quality::High) => Way::ShearImage,
             _ => Way::ShearWarp,
         }
     }
@@ -372,7 +370,7 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match settings.way(view) {
+    match settings.way() {
         Way::ImageOrder => reference(scene, view, settings, cancel),
         Way::ShearImage => shear_image::frame(scene, view, settings, cancel),
         Way::ShearWarp => shear_warp::frame(scene, view, settings, cancel),

@@ -104,7 +104,7 @@ impl Pyramid {
                 best = Some((slope, axis, polygon));
             }
         }
-        best.filter(|(slope, ..)| *slope <= std::env::var("SL").map_or(SLOPE_LIMIT, |s| s.parse().unwrap()))
+        best.filter(|(slope, ..)| *slope <= SLOPE_LIMIT)
             .map(|(_, axis, polygon)| (axis, polygon))
     }
 
