@@ -5,6 +5,8 @@ mod equivalence;
 mod golden;
 mod invariance;
 mod layering;
+mod perspective;
+mod projections;
 mod ramp;
 mod scenes;
 mod shear_image;

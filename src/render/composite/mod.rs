@@ -5,7 +5,8 @@
 //! slices; pixels do not depend on how bands are cut or on who fills them. What the slices are made
 //! of is a type parameter of the walk:
 //!
-//! - [`voxels`]: single voxels, shaded and resampled, each slice behind the one before.
+//! - [`voxels`]: single voxels, shaded and resampled, each slice behind the one before; encoded ones or
+//!   unencoded ones ([`sources`]).
 //! - [`slabs`]: what lies between two slices, looked up by the scalars on both.
 //!
 //! Either works in the same three steps for a scanline of pixels: *which pixels* are not opaque and
@@ -16,12 +17,17 @@
 //! it all the slow way and tests hold both together bit for bit.
 
 pub mod cue;
+pub mod footprint;
+pub mod lattice;
 mod mask;
 pub mod naive;
 pub mod occupied;
 mod rows;
 pub mod samples;
+mod scaled;
+mod scaled_voxels;
 pub mod slabs;
+pub mod sources;
 mod spans;
 pub mod voxels;
 

@@ -13,16 +13,28 @@
 use glam::{DMat3, Vec3, Vec4};
 
 use super::WORD;
+use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
+use crate::render::ray_light::RayLight;
 use crate::volume::Volume;
 use crate::volume::gradient::{Code, GradientFrame, encode_normal, gradient_at};
 use crate::volume::scanlines::Scanlines;
 
 /// Voxels that are read at once.
-const BLOCK: usize = 8;
+pub const BLOCK: usize = 8;
+
+/// What voxels are lit by.
+#[derive(Clone, Copy, Debug)]
+pub enum VoxelLight<'a> {
+    Off,
+    /// Factor and addend by code of the normal.
+    ByNormal(&'a [[f32; 2]]),
+    /// Along the ray that each is seen by.
+    ByRay(&'a RayLight),
+}
 
 /// A volume's voxels as one principal axis walks them, to be sampled.
 #[derive(Clone, Copy, Debug)]
@@ -34,8 +46,7 @@ pub struct VoxelRows<'a, T> {
     /// The volume's axes that i, j, k stand for.
     permutation: [usize; 3],
     frame: GradientFrame,
-    /// Factor and addend by code of the normal; empty where nothing is shaded.
-    shades: &'a [[f32; 2]],
+    light: VoxelLight<'a>,
     gradient_opacity: Option<&'a TransferFunction>,
 }
 
@@ -45,7 +56,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         scanlines: Scanlines<'a, T>,
         volume: &'a Volume,
         factorization: &Factorization,
-        shades: &'a [[f32; 2]],
+        light: VoxelLight<'a>,
         transfer: &'a TransferFunction,
     ) -> Self {
         Self {
@@ -54,7 +65,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             dims: factorization.dims,
             permutation: PERMUTATIONS[factorization.principal_axis],
             frame: GradientFrame::new(volume.placement(), volume.rescale().0),
-            shades,
+            light,
             gradient_opacity: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
         }
     }
@@ -62,7 +73,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// True where samples have light.
     #[inline(always)]
     pub fn is_lit(&self) -> bool {
-        !self.shades.is_empty()
+        !matches!(self.light, VoxelLight::Off)
     }
 
     /// Samples at eight voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
@@ -71,15 +82,21 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     pub fn block(&self, j: usize, k: usize, first: usize) -> [Vec4; BLOCK] {
         let codes = eight(self.scanlines.row(j, k), first);
         let (mut factor, mut addend, mut density) = ([1.0; BLOCK], [0.0; BLOCK], [1.0; BLOCK]);
-        if self.is_lit() {
-            let normals = self.normals(j, k, first);
-            for n in 0..BLOCK {
-                [factor[n], addend[n]] = self.shades[usize::from(normals[n])];
+        match self.light {
+            VoxelLight::Off => {}
+            VoxelLight::ByNormal(shades) => {
+                let normals = self.normals(j, k, first);
+                for n in 0..BLOCK {
+                    [factor[n], addend[n]] = shades[usize::from(normals[n])];
+                }
+            }
+            VoxelLight::ByRay(light) => {
+                [factor, addend] = light.of_gradients(&self.gradients(j, k, first), [first, j, k]);
             }
         }
-        if let Some(transfer) = self.gradient_opacity {
+        if self.has_gradient_opacity() {
             for (n, density) in density.iter_mut().enumerate() {
-                *density = self.gradient_factor(transfer, [(first + n).min(self.dims[0] - 1), j, k]);
+                *density = f32::from(self.gradient_factor([first + n, j, k])) / 255.0;
             }
         }
         let mut samples = [Vec4::ZERO; BLOCK];
@@ -92,7 +109,18 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// Codes of the normals of eight voxels, those of
     /// [`quantized_normals`](crate::volume::gradient::quantized_normals).
     #[inline(always)]
-    fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
+    pub fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
+        let along = self.gradients(j, k, first);
+        let mut normals = [0; BLOCK];
+        for n in 0..BLOCK {
+            normals[n] = encode_normal(along[0][n], along[1][n], along[2][n]);
+        }
+        normals
+    }
+
+    /// Gradients of eight voxels in the frame of the volume's normals.
+    #[inline(always)]
+    fn gradients(&self, j: usize, k: usize, first: usize) -> [[f32; BLOCK]; 3] {
         let [_, nj, nk] = self.dims;
         let row = self.scanlines.row(j, k);
         let neighbour = |j: usize, k: usize| eight(self.scanlines.row(j, k), first);
@@ -111,21 +139,41 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             along[axis] = differences[n];
         }
         turn(&mut along, self.frame.frame_from_differences, self.frame.diagonal);
-        let mut normals = [0; BLOCK];
-        for n in 0..BLOCK {
-            normals[n] = encode_normal(along[0][n], along[1][n], along[2][n]);
-        }
-        normals
+        along
     }
 
-    /// The gradient opacity of voxel (i, j, k), 0..=1 in steps of 1/255.
-    fn gradient_factor(&self, transfer: &TransferFunction, at: [usize; 3]) -> f32 {
+    /// Codes of eight voxels, the scanline's last one repeated past its end.
+    #[inline(always)]
+    pub fn codes(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
+        let row = self.scanlines.row(j, k);
+        let mut codes = [0; BLOCK];
+        if let Some(whole) = row.get(first..first + BLOCK) {
+            for n in 0..BLOCK {
+                codes[n] = whole[n].into();
+            }
+        } else {
+            for (n, code) in codes.iter_mut().enumerate() {
+                *code = row[(first + n).min(row.len() - 1)].into();
+            }
+        }
+        codes
+    }
+
+    /// True where the gradient has an influence on opacity.
+    #[inline(always)]
+    pub fn has_gradient_opacity(&self) -> bool {
+        self.gradient_opacity.is_some()
+    }
+
+    /// The gradient opacity of voxel (i, j, k), 255 = 1; that of the scanline's last voxel past its end.
+    pub fn gradient_factor(&self, [i, j, k]: [usize; 3]) -> u8 {
+        let Some(transfer) = self.gradient_opacity else { return u8::MAX };
         let mut index = [0; 3];
-        for (axis, at) in self.permutation.into_iter().zip(at) {
+        for (axis, at) in self.permutation.into_iter().zip([i.min(self.dims[0] - 1), j, k]) {
             index[axis] = at;
         }
         let magnitude = gradient_at(self.volume, &self.frame, index).length();
-        (transfer.gradient_factor(magnitude) * 255.0).round() as f32 / 255.0
+        (transfer.gradient_factor(magnitude) * 255.0).round() as u8
     }
 }
 
@@ -179,53 +227,53 @@ fn around<T: Code>(row: &[T], first: usize) -> ([f32; BLOCK], [f32; BLOCK]) {
 
 /// Where a slice of samples lies: on a slice of voxels or between two.
 #[derive(Clone, Copy, Debug)]
-pub struct Position {
-    pub placement: SlicePlacement,
+pub struct Position<P> {
+    pub placement: P,
     /// Slice of voxels at or before it, in the order of the walk.
     pub near: usize,
     /// The slice after it and how far towards it, 0..1; `None` on a slice of voxels.
     pub far: Option<(usize, f32)>,
 }
 
-impl Position {
-    /// The samples of step `n`, where `steps` lead from a slice of voxels to the next.
-    pub fn new(factorization: &Factorization, n: usize, steps: usize) -> Self {
-        let last = factorization.dims[2] - 1;
-        let stored = |slice: usize| if factorization.reversed { last - slice } else { slice };
-        let (slice, part) = (n / steps, n % steps);
-        let fraction = part as f64 / steps as f64;
+impl<P> Position<P> {
+    /// The samples at a position along the rays, counted in slices from the front one.
+    pub fn new<L: Lattice<Placement = P>>(factorization: &Factorization, position: f64) -> Self {
+        let stored = |slice: f64| factorization.along(slice) as usize;
+        let (slice, fraction) = (position.floor(), position.fract());
         Self {
-            placement: factorization.placement(along(factorization, n as f64, steps)),
+            placement: L::placement(factorization, factorization.along(position)),
             near: stored(slice),
-            far: (part > 0).then(|| (stored(slice + 1), fraction as f32)),
+            far: (fraction > 0.0).then(|| (stored(slice + 1.0), fraction as f32)),
         }
     }
 }
 
-/// The position along k of step `n`, where `steps` lead from a slice of voxels to the next.
-pub fn along(factorization: &Factorization, n: f64, steps: usize) -> f64 {
-    let at = n / steps as f64;
-    if factorization.reversed { (factorization.dims[2] - 1) as f64 - at } else { at }
-}
-
 /// A voxel scanline as samples. Voxel i is at i + 1: the scanline's ends are repeated once.
 #[derive(Debug)]
-struct Row {
-    j: Option<usize>,
-    voxels: Vec<Vec4>,
+pub struct Row {
+    pub j: Option<usize>,
+    pub voxels: Vec<Vec4>,
     /// Blocks that are there.
     fetched: Vec<bool>,
 }
 
 impl Row {
-    fn new(length: usize) -> Self {
+    /// For scanlines of `length` voxels.
+    pub fn new(length: usize) -> Self {
         let blocks = length.div_ceil(BLOCK);
         Self { j: None, voxels: vec![Vec4::ZERO; blocks * BLOCK + 2], fetched: vec![false; blocks] }
     }
 
+    /// Becomes scanline `j`, nothing of which is there yet.
+    #[inline(always)]
+    pub fn enter(&mut self, j: usize) {
+        self.j = Some(j);
+        self.fetched.fill(false);
+    }
+
     /// Reads voxels `first..=last` of scanline `j` of slice `k`, which the row is for.
     #[inline(always)]
-    fn fetch<T: Code>(&mut self, rows: &VoxelRows<'_, T>, j: usize, k: usize, first: usize, last: usize) {
+    pub fn fetch<T: Code>(&mut self, rows: &VoxelRows<'_, T>, j: usize, k: usize, first: usize, last: usize) {
         for block in first / BLOCK..=last / BLOCK {
             if !self.fetched[block] {
                 self.fetched[block] = true;
@@ -280,8 +328,7 @@ impl RowPair {
 
     #[inline(always)]
     fn replace(&mut self, at: usize, j: usize) -> usize {
-        self.rows[at].j = Some(j);
-        self.rows[at].fetched.fill(false);
+        self.rows[at].enter(j);
         at
     }
 }
@@ -306,7 +353,7 @@ impl SampleRows {
         &mut self,
         voxels: &VoxelRows<'_, T>,
         table: S,
-        position: &Position,
+        position: &Position<SlicePlacement>,
         v: usize,
         mask: &Mask,
         (out, base): (&mut [Vec4], isize),

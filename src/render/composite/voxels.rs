@@ -12,80 +12,146 @@
 
 use glam::Vec4;
 
+use super::cue::{Cue, ScanlineCue};
+use super::lattice::{Lattice, Unit};
 use super::rows::RowBuffers;
+use super::sources::VoxelSource;
 use super::spans::Spans;
 use super::{CANCEL_STEP, Composite, WORD, clear_bits, first_run, over, run_mask};
-use crate::classify::rle::AxisEncoding;
 use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::{Band, ScanlineMut};
-use crate::render::material::Material;
+use crate::render::material::{Light, Material};
 use crate::render::{Cancel, RenderError};
 
 /// What the bands of a frame share.
 #[derive(Debug)]
-pub struct Voxels<'a, const LIT: bool, const FACTORED: bool> {
-    pub encoding: AxisEncoding<'a>,
+pub struct Voxels<'a, L, V, H, const FACTORED: bool> {
+    pub lattice: L,
+    pub source: V,
     pub factorization: &'a Factorization,
-    pub material: Material<'a, LIT, FACTORED>,
+    pub material: Material<'a, H, FACTORED>,
+    /// `None`: nothing fades.
+    pub cue: Option<&'a Cue>,
     /// Accumulated opacity at which a pixel is done.
     pub opaque: f32,
     pub cancel: &'a Cancel,
 }
 
-impl<const LIT: bool, const FACTORED: bool> Composite for Voxels<'_, LIT, FACTORED> {
-    type Scratch = (RowBuffers, Spans);
+/// A lattice over slices of single voxels.
+pub trait VoxelLattice: Lattice {
+    /// Row buffers and masks of a thread.
+    type Scratch: Send;
+
+    /// Scratch for a part of a view.
+    fn scratch(factorization: &Factorization) -> Self::Scratch;
+
+    /// What a band's slices share. Called before the first.
+    fn enter_band(factorization: &Factorization, band: &Band<'_>, scratch: &mut Self::Scratch);
+
+    /// One slice into one band. Implementations are `#[inline(always)]`.
+    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
+        voxels: &Voxels<'_, Self, V, H, FACTORED>,
+        band: &mut Band<'_>,
+        k: usize,
+        scratch: &mut Self::Scratch,
+    );
+}
+
+impl<L: VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Composite for Voxels<'_, L, V, H, FACTORED> {
+    type Scratch = L::Scratch;
 
     fn scratch(&self, _: usize) -> Self::Scratch {
-        (RowBuffers::new(self.factorization.dims[0]), Spans::new(self.factorization.dims[0]))
+        L::scratch(self.factorization)
     }
 
     #[inline(always)]
-    fn band(&self, band: &mut Band<'_>, (rows, spans): &mut Self::Scratch) -> Result<(), RenderError> {
-        let slices = self.factorization.dims[2];
-        for step in 0..slices {
+    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
+        L::enter_band(self.factorization, band, scratch);
+        let slices = self.factorization.slices.clone();
+        for step in 0..slices.len() {
             if step % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
-            let k = if self.factorization.reversed { slices - 1 - step } else { step };
-            self.slice(band, k, rows, spans);
+            let k = if self.factorization.reversed { slices.end - 1 - step } else { slices.start + step };
+            L::slice(self, band, k, scratch);
         }
         Ok(())
     }
 }
 
-impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
+impl VoxelLattice for Unit {
+    type Scratch = (RowBuffers, Spans);
+
+    fn scratch(factorization: &Factorization) -> Self::Scratch {
+        (RowBuffers::new(factorization.dims[0]), Spans::new(factorization.dims[0]))
+    }
+
+    #[inline(always)]
+    fn enter_band(_: &Factorization, _: &Band<'_>, _: &mut Self::Scratch) {}
+
+    #[inline(always)]
+    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
+        voxels: &Voxels<'_, Self, V, H, FACTORED>,
+        band: &mut Band<'_>,
+        k: usize,
+        (rows, spans): &mut Self::Scratch,
+    ) {
+        voxels.slice(band, k, rows, spans);
+    }
+}
+
+impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACTORED> {
     /// One slice into one band.
     #[inline(always)]
     fn slice(&self, band: &mut Band<'_>, k: usize, rows: &mut RowBuffers, spans: &mut Spans) {
         let placement = self.factorization.slice(k);
         let [fraction_u, fraction_v] = placement.fraction;
-        let material = self.material.slice(self.factorization.is_outermost(k));
+        let material = self.material.slice(self.factorization.share(k));
         // Pixels between the slice's first and last voxel scanline: nothing lies outside the box.
         let last = self.factorization.dims[1] - 1 - usize::from(fraction_v > 0.0);
         let first_row = placement.first[1].saturating_sub(band.first);
         let end_row = (placement.first[1] + last + 1).saturating_sub(band.first).min(band.height());
         let weights = Weights::new(fraction_u, fraction_v);
+        let cue = self.cue.map(|cue| cue.slice(k as f64));
         rows.next_slice();
         for row in first_row..end_row {
             let v = band.first + row;
             let j = v - placement.first[1];
-            let upper = self.encoding.scanline(j, k);
-            let lower = (fraction_v > 0.0).then(|| self.encoding.scanline(j + 1, k));
-            if upper.runs.is_empty() && lower.is_none_or(|lower| lower.runs.is_empty()) {
+            let upper = self.source.scanline(j, k);
+            let lower = (fraction_v > 0.0).then(|| self.source.scanline(j + 1, k));
+            let empty = |scanline| self.source.is_empty(scanline);
+            if empty(&upper) && lower.as_ref().is_none_or(empty) {
                 continue;
             }
-            rows.enter(j, &upper, lower.as_ref());
+            rows.enter(self.source, j, &upper, lower.as_ref());
             let mut scanline = band.scanline(row);
-            spans.find(rows, &scanline, placement.first[0], fraction_u > 0.0);
-            if !self.factorization.clip.is_empty() {
-                let visible = self.factorization.visible_pixels(v, k as f64);
-                spans.clip(visible, placement.first[0]);
+            self.find(spans, rows, &scanline, &placement, [v, k]);
+            if V::CLASSIFIES && !spans.is_empty() {
+                rows.classify(self.source, &upper, lower.as_ref(), spans);
+                self.find(spans, rows, &scanline, &placement, [v, k]);
             }
             if spans.is_empty() {
                 continue;
             }
-            rows.shade(&upper, lower.as_ref(), spans, material);
-            self.blend(&mut scanline, &placement, rows, spans, &weights);
+            rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
+            let cue = cue.map(|cue| cue.scanline(v));
+            self.blend(&mut scanline, placement.first[0], rows, spans, &weights, cue);
+        }
+    }
+
+    /// Finds the pixels that touch a marked voxel, are not opaque and not clipped away.
+    #[inline(always)]
+    fn find(
+        &self,
+        spans: &mut Spans,
+        rows: &RowBuffers,
+        scanline: &ScanlineMut<'_>,
+        placement: &SlicePlacement,
+        [v, k]: [usize; 2],
+    ) {
+        spans.find(rows, scanline, placement.first[0], placement.fraction[0] > 0.0);
+        if self.factorization.is_clipped() {
+            spans.clip(self.factorization.visible_pixels(v, k as f64), placement.first[0]);
         }
     }
 
@@ -94,10 +160,11 @@ impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
-        placement: &SlicePlacement,
+        first_u: usize,
         rows: &RowBuffers,
         spans: &Spans,
         weights: &Weights,
+        cue: Option<ScanlineCue<'_>>,
     ) {
         for (word, &bits) in spans.pixels().iter().enumerate() {
             let mut bits = bits;
@@ -105,13 +172,14 @@ impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
                 let (start, length) = first_run(bits);
                 bits &= !run_mask(start, length);
                 let i = word * WORD + start;
-                let u = i + placement.first[0];
+                let u = i + first_u;
                 let (upper, lower) = rows.voxels(i, length + 1);
                 let pixels = &mut scanline.pixels[u..u + length];
-                let opaque = if rows.has_lower() {
-                    blend_run::<true>(pixels, upper, lower, weights, self.opaque)
-                } else {
-                    blend_run::<false>(pixels, upper, lower, weights, self.opaque)
+                let opaque = match (rows.has_lower(), cue) {
+                    (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (false, None) => blend_run::<false, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (true, Some(_)) => blend_run::<true, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (false, Some(_)) => blend_run::<false, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
                 };
                 if opaque != 0 {
                     clear_bits(scanline.non_opaque, u, opaque);
@@ -145,17 +213,21 @@ impl Weights {
 
 /// Blends consecutive pixels; gives the mask of those that became opaque.
 #[inline(always)]
-fn blend_run<const LOWER: bool>(
+fn blend_run<const LOWER: bool, const CUED: bool>(
     pixels: &mut [Vec4],
     upper: &[Vec4],
     lower: &[Vec4],
     weights: &Weights,
+    (cue, u): (Option<ScanlineCue<'_>>, usize),
     opaque: f32,
 ) -> u64 {
     let mut done = 0;
     let voxels = upper.windows(2).zip(lower.windows(2));
     for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
-        let sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
+        let mut sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
+        if CUED && let Some(cue) = cue {
+            sample = (sample * cue.at(u + at)).with_w(sample.w);
+        }
         *pixel = over(*pixel, sample);
         done |= u64::from(pixel.w >= opaque) << at;
     }
