@@ -21,7 +21,9 @@ export async function visit(browser, url, options = {}) {
   /** @type {string[]} */ const errors = [];
   /** @type {string[]} */ const strangers = [];
   const { host } = new URL(url);
-  page.on('console', (message) => ['error', 'warning'].includes(message.type()) && errors.push(message.text()));
+  // Of the warnings one is about the tests' own looks at pixels.
+  const matters = (/** @type {string} */ type, /** @type {string} */ text) => type === 'error' || (type === 'warning' && !text.includes('willReadFrequently'));
+  page.on('console', (message) => matters(message.type(), message.text()) && errors.push(message.text()));
   page.on('pageerror', (error) => errors.push(String(error)));
   page.on('request', (request) => {
     const at = new URL(request.url());

@@ -1,9 +1,14 @@
-/** @file A service of the test's own: started on a free port with the built-in scan, and stopped. */
+/**
+ * @file A service of the test's own: started on a free port with the built-in scan, and stopped.
+ *
+ * With `WEB=disk` in the environment the viewer's files come from web/ and not from the program: for work on them.
+ */
 import { spawn } from 'node:child_process';
 import { existsSync, statSync } from 'node:fs';
 import { once } from 'node:events';
 import { createInterface } from 'node:readline';
 import { fileURLToPath } from 'node:url';
+import { serve } from './serve.js';
 
 /** Nothing here takes as long, except where it hangs. */
 const PATIENCE = 60_000;
@@ -18,7 +23,8 @@ function binary() {
 
 export class Service {
   /** @type {import('node:child_process').ChildProcess | null} */ #process = null;
-  address = '';
+  /** @type {import('node:http').Server | null} */ #front = null;
+  /** Where a browser goes. */ address = '';
 
   /** @param {string} [listen] address and port; a free one unless told @param {Record<string, string>} [env] configuration */
   static async start(listen = '127.0.0.1:0', env = {}) {
@@ -38,9 +44,14 @@ export class Service {
       if (Date.now() - start > PATIENCE) throw new Error('the service is never ready');
       await new Promise((resolve) => setTimeout(resolve, 100));
     }
+    if (process.env.WEB !== 'disk') return;
+    this.#front = await serve(this.address, 0);
+    this.address = `http://127.0.0.1:${/** @type {import('node:net').AddressInfo} */ (this.#front.address()).port}`;
   }
 
   async stop() {
+    this.#front?.closeAllConnections();
+    this.#front?.close();
     const child = this.#process;
     this.#process = null;
     if (!child || child.exitCode !== null) return;

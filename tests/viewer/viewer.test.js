@@ -5,12 +5,13 @@
  * pixels: equal requests give equal frames.
  */
 import assert from 'node:assert/strict';
-import { execFileSync } from 'node:child_process';
+import { execFile } from 'node:child_process';
 import { mkdtempSync, readFileSync, rmSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, test } from 'node:test';
+import { promisify } from 'node:util';
 import { drag, launch, picture, rested, visit } from './browser.js';
 import { Service } from './service.js';
 
@@ -85,7 +86,7 @@ test('a shared link shows the same pixels, whatever was set', async () => {
   await page.getByRole('button', { name: 'Add a lamp' }).click();
   await page.getByText('Fade with depth').click();
   await page.getByRole('tab', { name: 'View' }).click();
-  await page.getByText('Perspective').click();
+  await page.getByRole('radio', { name: 'Perspective' }).check();
   await rested(page);
   const mine = await picture(page);
   await page.getByRole('button', { name: 'Copy a link' }).click();
@@ -335,7 +336,7 @@ test('a refusal names the field', async () => {
   await message.waitFor();
   assert.match(await message.innerText(), /The service refuses this[^]*\/camera\/fov_y/);
   await page.getByRole('tab', { name: 'View' }).click();
-  await page.getByText('Parallel').click();
+  await page.getByRole('radio', { name: 'Parallel' }).check();
   await rested(page);
   assert.equal(await message.count(), 0);
   await close();
@@ -359,7 +360,7 @@ test('a picture is saved at the size that was asked for, and as the command says
   await page.getByRole('button', { name: 'Copy as a curl command' }).click();
   await page.getByText('Command copied.').waitFor();
   const command = await page.evaluate(() => navigator.clipboard.readText());
-  execFileSync('sh', ['-c', command.replace(/^curl/, 'curl -sf')], { cwd: folder });
+  await promisify(execFile)('sh', ['-c', command.replace(/^curl/, 'curl -sf')], { cwd: folder });
   const shown = await page.evaluate(() => [...document.querySelectorAll('canvas')].map(({ width, height }) => [width, height])[0]);
   assert.deepEqual(size(join(folder, 'frame.png')), shown);
   rmSync(folder, { recursive: true });

@@ -49,9 +49,9 @@ export class Frames {
   #last = 0;
   #latency = 0;
   // Timers; 0 where none runs.
-  #rest = 0;
-  #retry = 0;
-  #second = 0;
+  /** @type {ReturnType<typeof setTimeout> | 0} */ #rest = 0;
+  /** @type {ReturnType<typeof setTimeout> | 0} */ #retry = 0;
+  /** @type {ReturnType<typeof setTimeout> | 0} */ #second = 0;
   /** Kinds of views whose `high` took too long. @type {Set<string>} */
   #slow = new Set();
   /** @type {((frame: Frame) => void)[]} */ onFrame = [];

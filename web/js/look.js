@@ -23,7 +23,7 @@ export class Look {
   #open = false;
   #travelling = false;
   #asking = new AbortController();
-  /** @type {(() => void)[]} */ onChange = [];
+  /** Told whether it is another look altogether and no edit. @type {((another: boolean) => void)[]} */ onChange = [];
 
   /** @param {import('./state.js').Store} store @param {() => ReadyVolume | null} volume */
   constructor(store, volume) {
@@ -42,7 +42,7 @@ export class Look {
     this.#asking.abort();
     if (transfer !== null && typeof transfer !== 'string') {
       this.current = transfer;
-      return this.#told();
+      return this.#told(false);
     }
     if (this.volume()?.id !== id) return;
     const { signal } = (this.#asking = new AbortController());
@@ -55,7 +55,7 @@ export class Look {
       if (signal.aborted) return;
       this.current = null;
     }
-    this.#told();
+    this.#told(true);
   }
 
   /** Fitted values have all digits that a number can; links should not. @param {TransferFunction} transfer @returns {TransferFunction} */
@@ -65,8 +65,9 @@ export class Look {
     return { ...transfer, points };
   }
 
-  #told() {
-    for (const listener of this.onChange) listener();
+  /** @param {boolean} another */
+  #told(another) {
+    for (const listener of this.onChange) listener(another);
   }
 
   /** Replaces what is seen. @param {TransferFunction} transfer @param {boolean} [moving] */

@@ -34,7 +34,7 @@ export class TransferEditor {
       if (contentRect.width > 0) this.plot.width = contentRect.width;
       this.draw();
     }).observe(this.element);
-    look.onChange.push(() => this.draw());
+    look.onChange.push((another) => (another ? this.showAll() : this.draw()));
   }
 
   #listen() {
@@ -57,9 +57,15 @@ export class TransferEditor {
     this.showAll();
   }
 
-  /** The whole range of values. */
+  /** The scan's values, and points beyond them as long as these do not squeeze the histogram. */
   showAll() {
-    if (this.#histogram) this.plot.domain = spread([this.#histogram.min, this.#histogram.max], 0.02);
+    if (this.#histogram) {
+      const { min, max } = this.#histogram;
+      const points = this.look.current?.points ?? [];
+      const [least, most] = spread([min, max], 0.5);
+      const [first, last] = [points[0]?.value ?? min, points[points.length - 1]?.value ?? max];
+      this.plot.domain = spread([Math.min(min, Math.max(least, first)), Math.max(max, Math.min(most, last))], 0.02);
+    }
     this.draw();
   }
 
