@@ -5,7 +5,9 @@ use std::hint::black_box;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use glam::Vec4;
-use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, SlabTables, Slabs};
+use shearwarp::classify::preintegration::{
+    Bilinear, CorrectionTable, Form, Nearest, OneDimensional, SlabTables, Slabs,
+};
 use shearwarp::classify::summed_area::SummedAreaTable;
 use shearwarp::classify::{
     Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction, presets,
@@ -68,36 +70,53 @@ fn preintegration(criterion: &mut Criterion) {
             opacity_distance: None,
             gradient_opacity: vec![],
         };
-        criterion.bench_function(&format!("preintegration_table/{bits} bits, any length"), |b| {
-            b.iter(|| SlabTables::new(&volume, &transfer, 256));
+        let fresh = || SlabTables::new(&volume, &transfer, 256);
+        let name = |what: &str| format!("{what}, {bits} bits");
+        criterion.bench_function(&name("preintegration_table/for all lengths"), |b| b.iter(fresh));
+        criterion.bench_function(&name("preintegration_table/2D"), |b| {
+            b.iter_batched_ref(fresh, |tables| tables.table(Form::Opacity, 1.0), BatchSize::LargeInput);
         });
-        criterion.bench_function(&format!("preintegration_table/{bits} bits, a length"), |b| {
-            b.iter_batched_ref(
-                || SlabTables::new(&volume, &transfer, 256),
-                |tables| tables.table(Form::Opacity, 1.0),
-                BatchSize::LargeInput,
-            );
+        criterion.bench_function(&name("preintegration_table/1D"), |b| {
+            b.iter_batched_ref(fresh, |tables| tables.running_sums(Form::Opacity, 1.0), BatchSize::LargeInput);
         });
-        let table = SlabTables::new(&volume, &transfer, 256).table(Form::Opacity, 1.0);
-        // Scalars as a volume has them: most slabs are nearly of one scalar.
-        let codes: Vec<f32> = (0..4096)
-            .map(|n| {
-                let t = n as f32 * 0.01;
-                (0.5 + 0.4 * (t.sin() + 0.1 * (37.0 * t).sin())) * last as f32
-            })
-            .collect();
-        fn read(table: impl Slabs, codes: &[f32]) -> Vec4 {
-            codes
-                .windows(2)
-                .fold(Vec4::ZERO, |sum, ends| sum + table.slab(table.coordinate(ends[0]), table.coordinate(ends[1])))
-        }
-        criterion.bench_function(&format!("slab/{bits} bits, nearest, 4096"), |b| {
-            b.iter(|| read(Nearest(&table), black_box(&codes)))
+
+        // A ray's scalars: a slow wave and a fast one.
+        let code = |n: usize| (0.5 + 0.4 * (n as f64 * 0.01).sin() + 0.05 * (n as f64 * 0.37).sin()) * last;
+        let codes: Vec<f32> = (0..4096).map(|n| code(n) as f32).collect();
+        let (table, sums) = (fresh().table(Form::Opacity, 1.0), fresh().running_sums(Form::Opacity, 1.0));
+        let correction = CorrectionTable::new(1.3);
+        criterion.bench_function(&name("slab/coordinates"), |b| b.iter(|| coordinates(Bilinear(&table), &codes)));
+        criterion.bench_function(&name("slab/2D nearest"), |b| b.iter(|| slabs(Nearest(&table), &codes, None)));
+        criterion.bench_function(&name("slab/2D bilinear"), |b| b.iter(|| slabs(Bilinear(&table), &codes, None)));
+        criterion.bench_function(&name("slab/2D bilinear, corrected"), |b| {
+            b.iter(|| slabs(Bilinear(&table), &codes, Some(&correction)));
         });
-        criterion.bench_function(&format!("slab/{bits} bits, bilinear, 4096"), |b| {
-            b.iter(|| read(Bilinear(&table), black_box(&codes)))
-        });
+        criterion.bench_function(&name("slab/1D"), |b| b.iter(|| slabs(OneDimensional(&sums), &codes, None)));
     }
+}
+
+/// Positions of all codes, eight at a time; summed up.
+fn coordinates(table: impl Slabs, codes: &[f32]) -> [f32; 8] {
+    let mut sums = [0.0; 8];
+    for codes in black_box(codes).as_chunks().0 {
+        for (sum, position) in sums.iter_mut().zip(table.coordinates(*codes)) {
+            *sum += position;
+        }
+    }
+    sums
+}
+
+/// The slabs between each code and the next, summed up.
+fn slabs(table: impl Slabs, codes: &[f32], correction: Option<&CorrectionTable>) -> Vec4 {
+    let mut front = table.coordinate(codes[0]);
+    let mut sum = Vec4::ZERO;
+    for &code in &black_box(codes)[1..] {
+        let back = table.coordinate(code);
+        let slab = table.slab(front, back);
+        sum += correction.map_or(slab, |correction| correction.correct(slab));
+        front = back;
+    }
+    sum
 }
 
 criterion_group!(benches, stages, preintegration);
