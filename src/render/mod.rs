@@ -10,6 +10,7 @@ pub mod shade;
 mod shear_image;
 mod shear_warp;
 pub mod simd;
+pub mod slab;
 pub mod view;
 pub mod warp;
 
@@ -334,15 +335,9 @@ pub struct Scene<'a> {
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    match settings.way() {
+    match settings.way(view) {
         Way::ImageOrder | Way::ShearImage => Ok(()),
-        Way::ShearWarp => match settings.algorithm {
-            Algorithm::FastClassification | Algorithm::Preintegrated => Err(RenderError::Unsupported {
-                pointer: "/algorithm",
-                detail: format!("{} is not supported by this version", settings.algorithm.name()),
-            }),
-            _ => Factorization::new(view, volume).map(|_| ()),
-        },
+        Way::ShearWarp => Factorization::new(view, volume).map(|_| ()),
     }
 }
 
@@ -354,10 +349,12 @@ enum Way {
 }
 
 impl Settings {
-    fn way(&self) -> Way {
-        match (self.algorithm, self.blend) {
-            (Algorithm::Raycast, _) => Way::ImageOrder,
-            (_, Blend::Projection(..)) | (Algorithm::Preintegrated, _) => Way::ShearImage,
+    fn way(&self, view: &View) -> Way {
+        match (self.algorithm, self.blend, self.quality, view.projection()) {
+            (Algorithm::Raycast, ..) => Way::ImageOrder,
+            (_, Blend::Projection(..), ..)
+            | (Algorithm::Preintegrated, _, Quality::High, _)
+            | (Algorithm::Preintegrated, _, _, Projection::Perspective) => Way::ShearImage,
             _ => Way::ShearWarp,
         }
     }
@@ -374,7 +371,7 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match settings.way() {
+    match settings.way(view) {
         Way::ImageOrder => reference(scene, view, settings, cancel),
         Way::ShearImage => shear_image::frame(scene, view, settings, cancel),
         Way::ShearWarp => shear_warp::frame(scene, view, settings, cancel),

@@ -5,6 +5,8 @@ mod equivalence;
 mod golden;
 mod invariance;
 mod layering;
+mod projections;
 mod ramp;
 mod scenes;
 mod shear_image;
+mod slabs;
