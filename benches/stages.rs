@@ -5,9 +5,7 @@ use std::hint::black_box;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use glam::Vec4;
-use shearwarp::classify::preintegration::{
-    Bilinear, CorrectionTable, Form, Nearest, OneDimensional, SlabTables, Slabs,
-};
+use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, SlabTables, Slabs};
 use shearwarp::classify::summed_area::SummedAreaTable;
 use shearwarp::classify::{
     Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction, presets,
@@ -84,14 +82,10 @@ fn preintegration(criterion: &mut Criterion) {
         let code = |n: usize| (0.5 + 0.4 * (n as f64 * 0.01).sin() + 0.05 * (n as f64 * 0.37).sin()) * last;
         let codes: Vec<f32> = (0..4096).map(|n| code(n) as f32).collect();
         let (table, sums) = (fresh().table(Form::Opacity, 1.0), fresh().running_sums(Form::Opacity, 1.0));
-        let correction = CorrectionTable::new(1.3);
         criterion.bench_function(&name("slab/coordinates"), |b| b.iter(|| coordinates(Bilinear(&table), &codes)));
-        criterion.bench_function(&name("slab/2D nearest"), |b| b.iter(|| slabs(Nearest(&table), &codes, None)));
-        criterion.bench_function(&name("slab/2D bilinear"), |b| b.iter(|| slabs(Bilinear(&table), &codes, None)));
-        criterion.bench_function(&name("slab/2D bilinear, corrected"), |b| {
-            b.iter(|| slabs(Bilinear(&table), &codes, Some(&correction)));
-        });
-        criterion.bench_function(&name("slab/1D"), |b| b.iter(|| slabs(OneDimensional(&sums), &codes, None)));
+        criterion.bench_function(&name("slab/2D nearest"), |b| b.iter(|| slabs(Nearest(&table), &codes)));
+        criterion.bench_function(&name("slab/2D bilinear"), |b| b.iter(|| slabs(Bilinear(&table), &codes)));
+        criterion.bench_function(&name("slab/1D"), |b| b.iter(|| slabs(OneDimensional(&sums), &codes)));
     }
 }
 
@@ -107,13 +101,12 @@ fn coordinates(table: impl Slabs, codes: &[f32]) -> [f32; 8] {
 }
 
 /// The slabs between each code and the next, summed up.
-fn slabs(table: impl Slabs, codes: &[f32], correction: Option<&CorrectionTable>) -> Vec4 {
+fn slabs(table: impl Slabs, codes: &[f32]) -> Vec4 {
     let mut front = table.coordinate(codes[0]);
     let mut sum = Vec4::ZERO;
     for &code in &black_box(codes)[1..] {
         let back = table.coordinate(code);
-        let slab = table.slab(front, back);
-        sum += correction.map_or(slab, |correction| correction.correct(slab));
+        sum += table.slab(front, back);
         front = back;
     }
     sum

@@ -93,7 +93,8 @@ impl SlabAxis {
     #[inline(always)]
     fn between_knots(&self, code: f32) -> f32 {
         let (knot, share) = cell((code - self.first_code) * self.knots_per_code);
-        let ends = &self.knots[knot..knot + 2];
+        // Always there: codes are those of the volume.
+        let Some(ends) = self.knots.get(knot..knot + 2) else { return 0.0 };
         ends[0] + (ends[1] - ends[0]) * share
     }
 

@@ -15,7 +15,6 @@
 //! (`running.rs`): made faster still, and less exact.
 
 mod axis;
-mod correction;
 mod fixed;
 mod kept;
 mod medium;
@@ -32,7 +31,6 @@ use glam::Vec4;
 use super::transfer::TransferFunction;
 use crate::volume::Volume;
 pub use axis::SlabAxis;
-pub use correction::CorrectionTable;
 use kept::Kept;
 use medium::Medium;
 use ranges::Ranges;

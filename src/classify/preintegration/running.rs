@@ -119,11 +119,13 @@ impl RunningSums {
     pub fn slab(&self, front: f32, back: f32) -> Vec4 {
         let ((front, wf), (back, wb)) = (split(front), split(back));
         let distance = (back as f32 + wb) - (front as f32 + wf);
+        // Always there: positions are on the axis.
         if distance == 0.0 {
-            let ends = &self.media[front..front + 2];
+            let Some(ends) = self.media.get(front..front + 2) else { return Vec4::ZERO };
             return ends[0] + (ends[1] - ends[0]) * wf;
         }
-        let (near, far) = (&self.sums[front..front + 2], &self.sums[back..back + 2]);
+        let sums = (self.sums.get(front..front + 2), self.sums.get(back..back + 2));
+        let (Some(near), Some(far)) = sums else { return Vec4::ZERO };
         let near = near[0] + (near[1] - near[0]) * f64::from(wf);
         let far = far[0] + (far[1] - far[0]) * f64::from(wb);
         ((far - near) / f64::from(distance)).as_vec4()

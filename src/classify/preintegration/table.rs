@@ -67,7 +67,7 @@ impl SlabTable {
     /// The entry nearest to two positions on the axis.
     #[inline(always)]
     pub fn nearest(&self, front: f32, back: f32) -> Vec4 {
-        self.slabs[nearest(front) * self.stride + nearest(back)]
+        self.slabs.get(nearest(front) * self.stride + nearest(back)).copied().unwrap_or_default()
     }
 
     /// Interpolated between the four entries around two positions on the axis.
@@ -75,7 +75,8 @@ impl SlabTable {
     pub fn bilinear(&self, front: f32, back: f32) -> Vec4 {
         let ((front, wf), (back, wb)) = (split(front), split(back));
         let at = front * self.stride + back;
-        let four = &self.slabs[at..at + self.stride + 2];
+        // Always there: positions are on the axis.
+        let Some(four) = self.slabs.get(at..at + self.stride + 2) else { return Vec4::ZERO };
         let near = four[0] + (four[1] - four[0]) * wb;
         let far = four[self.stride] + (four[self.stride + 1] - four[self.stride]) * wb;
         near + (far - near) * wf

@@ -14,9 +14,9 @@ use super::sampler::Sampler;
 use super::skip::Skip;
 use super::{Frame, Pixels};
 use crate::classify::TransferFunction;
-use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
+use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::lighting::Lighting;
-use crate::render::{DepthCueing, Image, Lookup, OpacityCorrection, RenderError, Scene, Timings};
+use crate::render::{DepthCueing, Image, Lookup, OpacityCorrection, RenderError, Scene, SlabTable, Timings};
 use crate::volume::gradient::{Code, GradientFrame};
 
 /// A frame of emission and absorption.
@@ -44,10 +44,6 @@ pub(super) fn frame<T: Code>(
     let gradient_opacity = Some(scene.transfer).filter(|transfer| !transfer.gradient_opacity.is_empty());
     let scaled = gradient_opacity.is_some() || !same_length;
     let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
-    let making = Instant::now();
-    let table = tables.table(form, (slice_length / steps as f64) as f32);
-    let preintegration_table = making.elapsed();
-
     let gradient_frame = GradientFrame::new(volume.placement(), volume.rescale().0);
     let lighting = settings.shading.as_ref().map(Lighting::new);
     let walk = Walk {
@@ -61,10 +57,25 @@ pub(super) fn frame<T: Code>(
         depth_cueing: settings.depth_cueing,
         opaque: settings.early_ray_termination,
     };
-    let (image, timings) = match options.lookup {
-        Lookup::Nearest => walk.render(frame, Nearest(&table), scaled),
-        Lookup::Bilinear => walk.render(frame, Bilinear(&table), scaled),
-    }?;
+    let making = Instant::now();
+    let slab_length = (slice_length / steps as f64) as f32;
+    let (image, timings, preintegration_table) = match options.table {
+        SlabTable::OneDimensional => {
+            let sums = tables.running_sums(form, slab_length);
+            let made = making.elapsed();
+            let (image, timings) = walk.render(frame, OneDimensional(&sums), scaled)?;
+            (image, timings, made)
+        }
+        SlabTable::TwoDimensional => {
+            let table = tables.table(form, slab_length);
+            let made = making.elapsed();
+            let (image, timings) = match options.lookup {
+                Lookup::Nearest => walk.render(frame, Nearest(&table), scaled),
+                Lookup::Bilinear => walk.render(frame, Bilinear(&table), scaled),
+            }?;
+            (image, timings, made)
+        }
+    };
     Ok((image, Timings { preintegration_table, ..timings }))
 }
 
@@ -185,11 +196,8 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composit
 
 impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S, LIT, SCALED> {
     #[inline(always)]
-    fn coordinates(&self, mut codes: Lanes) -> Lanes {
-        for code in &mut codes {
-            *code = self.table.coordinate(*code);
-        }
-        codes
+    fn coordinates(&self, codes: Lanes) -> Lanes {
+        self.table.coordinates(codes)
     }
 
     /// The slabs of all lanes between two slice positions.

@@ -3,14 +3,14 @@
 use std::time::Instant;
 
 use super::{Begun, Pass};
-use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
+use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::composite::occupied::Occupied;
 use crate::render::composite::samples::VoxelRows;
 use crate::render::composite::slabs::SlabComposite;
 use crate::render::intermediate::IntermediateImage;
 use crate::render::shade::ShadingTable;
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, Scaled};
-use crate::render::{Lookup, OpacityCorrection, RenderError};
+use crate::render::{Lookup, OpacityCorrection, RenderError, SlabTable};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
@@ -31,13 +31,24 @@ impl Pass<'_> {
         let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
         let tables = self.classification.slabs().expect("the classification is of slabs");
         let making = Instant::now();
-        let table = tables.table(form, (made_for / options.samples_per_voxel as f64) as f32);
-        let preintegration_table = making.elapsed();
-        let begun = match options.lookup {
-            Lookup::Nearest => self.with_table(Nearest(&table), scaled, length, image),
-            Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
-        }?;
-        Ok(Begun { preintegration_table, ..begun })
+        let slab_length = (made_for / options.samples_per_voxel as f64) as f32;
+        match options.table {
+            SlabTable::OneDimensional => {
+                let sums = tables.running_sums(form, slab_length);
+                let preintegration_table = making.elapsed();
+                let begun = self.with_table(OneDimensional(&sums), scaled, length, image)?;
+                Ok(Begun { preintegration_table, ..begun })
+            }
+            SlabTable::TwoDimensional => {
+                let table = tables.table(form, slab_length);
+                let preintegration_table = making.elapsed();
+                let begun = match options.lookup {
+                    Lookup::Nearest => self.with_table(Nearest(&table), scaled, length, image),
+                    Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
+                }?;
+                Ok(Begun { preintegration_table, ..begun })
+            }
+        }
     }
 
     fn with_table<S: Slabs>(
