@@ -36,6 +36,9 @@ pub struct Arguments {
     /// Write the figures to this file
     #[arg(long, value_name = "OUT")]
     json: Option<PathBuf>,
+    /// Measure the papers' own tables on all scans of the folder VOLUME, and write them to this file
+    #[arg(long, value_name = "OUT", conflicts_with = "json")]
+    papers: Option<PathBuf>,
     #[command(flatten)]
     request: RequestArguments,
 }
@@ -85,6 +88,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .num_threads(arguments.threads.unwrap_or(0) as usize)
         .build()
         .map_err(|error| Failure::Other(format!("threads: {error}")))?;
+    if let Some(out) = &arguments.papers {
+        return pool.install(|| super::papers::run(arguments.volume.path(), out));
+    }
     let report = pool.install(|| measure(arguments))?;
     if let Some(path) = &arguments.json {
         let json = serde_json::to_vec_pretty(&report).map_err(|error| Failure::Other(error.to_string()))?;
@@ -143,8 +149,8 @@ struct Phases {
     total: Vec<Duration>,
     /// Of the final image.
     image_bytes: u64,
-    /// Of the frame whose intermediate image has the most pixels.
-    intermediate_size: [usize; 2],
+    /// Of the frame whose intermediate images are the largest.
+    intermediate_bytes: u64,
 }
 
 impl Phases {
@@ -166,11 +172,9 @@ impl Phases {
         self.total.push(total);
         self.image_bytes = image.pixels.len() as u64;
         if stage.classified.is_some() {
-            let size = Factorization::new(&view, stage.prepared.volume()).map_or([0, 0], |f| f.size);
-            let pixels = |[width, height]: [usize; 2]| width * height;
-            if pixels(size) > pixels(self.intermediate_size) {
-                self.intermediate_size = size;
-            }
+            let parts = Factorization::parts(&view, stage.prepared.volume()).unwrap_or_default();
+            let bytes = parts.iter().map(|part| IntermediateImage::new(part.size).bytes()).sum();
+            self.intermediate_bytes = self.intermediate_bytes.max(bytes);
         }
         Ok(())
     }
@@ -219,17 +223,15 @@ fn prepare_ms(stage: &Stage, load: Duration, preintegration_table: Duration) -> 
         .collect()
 }
 
-/// `images` are the intermediate image, where there is one, and the final one.
+/// `images` are the intermediate images, where there are any, and the final one.
 fn bytes(stage: &Stage, phases: &Phases) -> Named<u64> {
     let classified = stage.classified.iter().flat_map(|c| c.bytes());
-    let intermediate =
-        stage.classified.as_ref().map_or(0, |_| IntermediateImage::new(phases.intermediate_size).bytes());
     stage
         .prepared
         .bytes()
         .into_iter()
         .chain(classified)
-        .chain([("images", intermediate + phases.image_bytes)])
+        .chain([("images", phases.intermediate_bytes + phases.image_bytes)])
         .collect()
 }
 

@@ -6,10 +6,12 @@ mod image;
 pub mod intermediate;
 pub mod lighting;
 pub mod material;
+pub mod ray_light;
 pub mod shade;
 mod shear_image;
 mod shear_warp;
 pub mod simd;
+pub mod slab;
 pub mod view;
 pub mod warp;
 
@@ -336,13 +338,7 @@ pub struct Scene<'a> {
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
     match settings.way() {
         Way::ImageOrder | Way::ShearImage => Ok(()),
-        Way::ShearWarp => match settings.algorithm {
-            Algorithm::FastClassification | Algorithm::Preintegrated => Err(RenderError::Unsupported {
-                pointer: "/algorithm",
-                detail: format!("{} is not supported by this version", settings.algorithm.name()),
-            }),
-            _ => Factorization::new(view, volume).map(|_| ()),
-        },
+        Way::ShearWarp => Factorization::parts(view, volume).map(|_| ()),
     }
 }
 
@@ -355,9 +351,9 @@ enum Way {
 
 impl Settings {
     fn way(&self) -> Way {
-        match (self.algorithm, self.blend) {
-            (Algorithm::Raycast, _) => Way::ImageOrder,
-            (_, Blend::Projection(..)) | (Algorithm::Preintegrated, _) => Way::ShearImage,
+        match (self.algorithm, self.blend, self.quality) {
+            (Algorithm::Raycast, ..) => Way::ImageOrder,
+            (_, Blend::Projection(..), _) | (Algorithm::Preintegrated, _, Quality::High) => Way::ShearImage,
             _ => Way::ShearWarp,
         }
     }

@@ -1,14 +1,18 @@
 //! A frame by the shear-warp factorization: the paper's outline.
 
-use std::time::Instant;
+mod slabs;
+mod voxels;
 
-use super::composite::{self, Composite};
+use std::time::{Duration, Instant};
+
+use super::composite::cue::Cue;
+use super::composite::{Composite, naive};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
-use super::material::{Material, SliceTables};
+use super::ray_light::RayLight;
 use super::shade::ShadingTable;
-use super::{Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
-use crate::classify::{Encodings, RunLengthVolume};
+use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
+use crate::classify::Classification;
 use crate::volume::gradient::GradientFrame;
 
 /// A frame by the shear-warp factorization: the paper's outline.
@@ -18,75 +22,104 @@ pub(super) fn frame(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    let classification = scene.classification.expect("the algorithm needs a classification");
     let start = Instant::now();
-    let made;
-    let run_lengths = match scene.encodings.and_then(Encodings::voxels) {
-        Some(run_lengths) => run_lengths,
-        None => {
-            let (tables, occupied) = (classification.tables(), classification.occupied());
-            made = RunLengthVolume::encode(scene.prepared, tables, scene.transfer, occupied);
-            &made
-        }
-    };
-    let volume = scene.prepared.volume();
 
-    // Factor the view into shear and warp.
-    let factorization = Factorization::new(view, volume)?;
+    // Factor the view into shear and warp; a wide perspective view part by part.
+    let parts = Factorization::parts(view, scene.prepared.volume())?;
 
-    // Make the tables that depend on the view: opacity and colour by code, shading by normal.
-    let factored = !scene.transfer.gradient_opacity.is_empty();
-    let tables = SliceTables::new(classification.tables(), &factorization, factored);
-    let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-    let shading =
-        settings.shading.as_ref().map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame));
-    let shade = start.elapsed();
-
-    // Shear, resample and composite the slices into the intermediate image.
-    let mut intermediate = IntermediateImage::new(factorization.size);
-    let frame = ClassifiedFrame { run_lengths, factorization: &factorization, settings, cancel };
-    match (&shading, factored) {
-        (Some(_), true) => frame.composite::<true, true>(&tables, shading.as_ref(), &mut intermediate),
-        (Some(_), false) => frame.composite::<true, false>(&tables, shading.as_ref(), &mut intermediate),
-        (None, true) => frame.composite::<false, true>(&tables, None, &mut intermediate),
-        (None, false) => frame.composite::<false, false>(&tables, None, &mut intermediate),
-    }?;
+    // Shear, resample and composite the slices into an intermediate image for each part.
+    let (mut shade, mut tables) = (start.elapsed(), Duration::ZERO);
+    let mut images = vec![];
+    for factorization in &parts {
+        let begun = Instant::now();
+        let (image, Begun { at, preintegration_table }) = part(scene, view, factorization, settings, cancel)?;
+        images.push(image);
+        shade += at - begun - preintegration_table;
+        tables += preintegration_table;
+    }
     let composite = start.elapsed();
 
-    // Warp the intermediate image into the final one.
+    // Warp the intermediate images into the final one.
     let (width, height) = view.size();
     let channels = settings.background.channels();
     let mut pixels = vec![0; width as usize * height as usize * channels];
-    warp::warp(&intermediate, &factorization, &settings.background, width as usize, &mut pixels, cancel)?;
+    let parts: Vec<_> =
+        parts.iter().zip(&images).map(|(factorization, image)| warp::Part { factorization, image }).collect();
+    warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
     let render = start.elapsed();
 
-    let timings =
-        Timings { shade, composite: composite - shade, warp: render - composite, render, ..Timings::default() };
+    let (composite, warp) = (composite - shade - tables, render - composite);
+    let timings = Timings { preintegration_table: tables, shade, composite, warp, render };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
 }
 
+/// The intermediate image of a part of the view.
+fn part(
+    scene: &Scene<'_>,
+    view: &View,
+    factorization: &Factorization,
+    settings: &Settings,
+    cancel: &Cancel,
+) -> Result<(IntermediateImage, Begun), RenderError> {
+    // Make the tables that depend on the view: light by normal (in perspective there is none, for
+    // every ray has its own), fading by depth, and, in the pass, opacity and colour by code or by
+    // pairs of them.
+    let volume = scene.prepared.volume();
+    let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
+    let shading = settings.shading.as_ref();
+    let ray_light = shading.and_then(|s| RayLight::new(s, volume, factorization));
+    let table = match &ray_light {
+        None => shading.map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame)),
+        Some(_) => None,
+    };
+    let cue = settings.depth_cueing.as_ref().map(|cueing| Cue::new(cueing, view, volume, factorization));
+    let pass = Pass {
+        scene,
+        classification: scene.classification.expect("the algorithm needs a classification"),
+        factorization,
+        table: table.as_ref(),
+        ray_light: ray_light.as_ref(),
+        cue: cue.as_ref(),
+        settings,
+        cancel,
+    };
+    let mut image = IntermediateImage::new(factorization.size);
+    let begun = match settings.algorithm {
+        Algorithm::Preintegrated => pass.slabs(&mut image),
+        _ => pass.voxels(&mut image),
+    }?;
+    Ok((image, begun))
+}
+
 /// What compositing takes from the frame, whatever its type parameters.
-struct ClassifiedFrame<'a> {
-    run_lengths: &'a RunLengthVolume,
+#[derive(Clone, Copy)]
+struct Pass<'a> {
+    scene: &'a Scene<'a>,
+    classification: &'a Classification,
     factorization: &'a Factorization,
+    /// Where the volume is shaded: by normal under parallel projection, by ray in perspective.
+    table: Option<&'a ShadingTable>,
+    ray_light: Option<&'a RayLight>,
+    cue: Option<&'a Cue>,
     settings: &'a Settings,
     cancel: &'a Cancel,
 }
 
-impl ClassifiedFrame<'_> {
-    fn composite<const LIT: bool, const FACTORED: bool>(
+/// When compositing began, and how long of the time before a pre-integration table took.
+struct Begun {
+    at: Instant,
+    preintegration_table: Duration,
+}
+
+impl Pass<'_> {
+    /// Composites into `image`.
+    fn run(
         &self,
-        tables: &SliceTables,
-        shading: Option<&ShadingTable>,
+        composite: &(impl Composite + naive::Pixels),
         image: &mut IntermediateImage,
-    ) -> Result<(), RenderError> {
-        let composite = Composite::<LIT, FACTORED> {
-            encoding: self.run_lengths.for_axis(self.factorization.principal_axis),
-            factorization: self.factorization,
-            material: Material::new(tables, shading),
-            opaque: self.settings.early_ray_termination,
-            cancel: self.cancel,
-        };
-        if self.settings.skipping { composite.run(image) } else { composite::naive::run(&composite, image) }
+    ) -> Result<Begun, RenderError> {
+        let at = Instant::now();
+        if self.settings.skipping { composite.run(image) } else { naive::run(composite, image, self.cancel) }?;
+        Ok(Begun { at, preintegration_table: Duration::ZERO })
     }
 }

@@ -1,64 +1,67 @@
-//! The composite without runs, masks, links or bands: the standard for correctness checking.
+//! The composite without runs, masks, links, buffers or bands: the standard for correctness checking.
 //!
-//! Every pixel gathers from four voxels in every slice, each looked up, shaded and weighted anew,
-//! and tests for itself whether it is opaque. The kernel's pixels must be the same bit for bit.
+//! Every pixel gathers from its voxels in every slice anew, each looked up, shaded and weighted, and
+//! tests for itself whether it is opaque. The kernel's pixels must be the same bit for bit.
 
 use glam::Vec4;
 use rayon::prelude::*;
 
-use super::{Composite, Weights, over};
-use crate::classify::rle::Scanline;
-use crate::render::RenderError;
+use super::footprint::Footprint;
+use super::lattice::{Lattice, Scaled, Unit};
+use super::over;
+use super::samples::{Position, VoxelRows, lerp};
+use super::slabs::SlabComposite;
+use super::sources::VoxelSource;
+use super::voxels::{VoxelLattice, Voxels, Weights};
+use crate::classify::preintegration::Slabs;
+use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::IntermediateImage;
-use crate::render::material::SliceMaterial;
+use crate::render::material::Light;
+use crate::render::slab::{Correction, opacity_ratio};
+use crate::render::{Cancel, RenderError};
+use crate::volume::gradient::Code;
 
-/// Composites all slices into `image`, as [`Composite::run`] does.
+/// A composite told pixel by pixel.
+pub trait Pixels: Sync {
+    /// The ray of intermediate pixel (u, v).
+    fn pixel(&self, u: usize, v: usize) -> Vec4;
+}
+
+/// Composites all slices into `image`, as [`Composite::run`](super::Composite::run) does.
 ///
 /// # Errors
 /// [`RenderError::Cancelled`].
-pub fn run<const LIT: bool, const FACTORED: bool>(
-    composite: &Composite<'_, LIT, FACTORED>,
-    image: &mut IntermediateImage,
-) -> Result<(), RenderError> {
+pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel) -> Result<(), RenderError> {
     image.bands(1).try_for_each(|mut band| {
-        if composite.cancel.is_cancelled() {
+        if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
         let v = band.first;
         for (u, pixel) in band.scanline(0).pixels.iter_mut().enumerate() {
-            *pixel = composite.pixel(u, v);
+            *pixel = pixels.pixel(u, v);
         }
         Ok(())
     })
 }
 
-impl<const LIT: bool, const FACTORED: bool> Composite<'_, LIT, FACTORED> {
-    /// The ray of intermediate pixel (u, v).
+impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Pixels
+    for Voxels<'_, L, V, H, FACTORED>
+{
     fn pixel(&self, u: usize, v: usize) -> Vec4 {
         let f = self.factorization;
         let mut pixel = Vec4::ZERO;
-        for step in 0..f.dims[2] {
-            let k = if f.reversed { f.dims[2] - 1 - step } else { step };
-            let slice = f.slice(k);
-            let between = slice.fraction.map(|fraction| usize::from(fraction > 0.0));
-            let inside = |at: usize, axis: usize| {
-                at >= slice.first[axis] && at - slice.first[axis] + between[axis] < f.dims[axis]
-            };
-            if !inside(u, 0) || !inside(v, 1) || !(f.clip.is_empty() || f.visible_pixels(v, k).contains(&u)) {
+        for step in 0..f.slices.len() {
+            let k = if f.reversed { f.slices.end - 1 - step } else { f.slices.start + step };
+            if f.is_clipped() && !f.visible_pixels(v, k as f64).contains(&u) {
                 continue;
             }
-            let (i, j) = (u - slice.first[0], v - slice.first[1]);
-            let material = self.material.slice(f.is_outermost(k));
-            let row = |j: usize| {
-                let scanline = self.encoding.scanline(j, k);
-                [voxel(&scanline, i, material), voxel(&scanline, i + 1, material)]
-            };
-            let weights = Weights::new(slice.fraction[0], slice.fraction[1]);
-            let sample = if between[1] == 1 {
-                weights.sample::<true>(row(j), row(j + 1))
-            } else {
-                weights.sample::<false>(row(j), [Vec4::ZERO; 2])
-            };
+            let Some(mut sample) = L::on_slice(f, k, [u, v], |i, j| self.color([i, j, k])) else { continue };
+            if L::LENGTHS {
+                sample *= opacity_ratio(sample.w, f.relative_length(u, v));
+            }
+            if let Some(cue) = self.cue {
+                sample = (sample * cue.slice(k as f64).scanline(v).at(u)).with_w(sample.w);
+            }
             pixel = over(pixel, sample);
             if pixel.w >= self.opaque {
                 break;
@@ -68,21 +71,158 @@ impl<const LIT: bool, const FACTORED: bool> Composite<'_, LIT, FACTORED> {
     }
 }
 
-/// Voxel `i` of a scanline; zero where it is transparent or past the end.
-fn voxel<const LIT: bool, const FACTORED: bool>(
-    scanline: &Scanline<'_>,
-    i: usize,
-    material: SliceMaterial<'_, LIT, FACTORED>,
-) -> Vec4 {
-    let mut before = 0;
-    for run in scanline.runs {
-        let (start, length) = (usize::from(run.start), usize::from(run.length));
-        if (start..start + length).contains(&i) {
-            let at = before + i - start;
-            let factor = scanline.factors.get(at).copied().unwrap_or(u8::MAX);
-            return material.color(scanline.voxels[at], factor);
+impl<L, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
+    /// The colour of a voxel, zero where it is transparent. Past the end, where the weight is zero, there
+    /// is nothing.
+    fn color(&self, at: [usize; 3]) -> Vec4 {
+        let material = self.material.slice(self.factorization.share(at[2]));
+        match self.source.voxel(at).filter(|_| at[0] < self.factorization.dims[0]) {
+            Some((voxel, factor)) => {
+                let [[scale], [add]] = material.light(&[voxel.normal], at);
+                material.color(voxel.code, factor, [scale, add])
+            }
+            None => Vec4::ZERO,
         }
-        before += length;
     }
-    Vec4::ZERO
+}
+
+/// True where a pixel lies on a slice.
+fn contains(slice: &SlicePlacement, dims: [usize; 3], pixel: [usize; 2]) -> bool {
+    (0..2).all(|axis| {
+        let between = usize::from(slice.fraction[axis] > 0.0);
+        pixel[axis] >= slice.first[axis] && pixel[axis] - slice.first[axis] + between < dims[axis]
+    })
+}
+
+/// A lattice's way to sample, told for one pixel.
+pub trait NaiveLattice: Lattice {
+    /// The sample at pixel (u, v), slices being continued by their borders.
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        dims: [usize; 3],
+        position: &Position<Self::Placement>,
+        pixel: [usize; 2],
+    ) -> Vec4;
+
+    /// What is resampled at pixel (u, v) of slice `k` of voxels, which `voxel` gives by i and j; `None` where
+    /// the pixel does not lie on the slice.
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        pixel: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4>;
+}
+
+impl<L: NaiveLattice, T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, T, S, C> {
+    fn pixel(&self, u: usize, v: usize) -> Vec4 {
+        let f = self.factorization;
+        let mut pixel = Vec4::ZERO;
+        for n in self.slabs() {
+            let slab = self.place(n);
+            let inside = slab.pixels.contains(&u) && slab.scanlines.contains(&v);
+            if !inside || f.is_clipped() && !f.visible_pixels(v, slab.middle).contains(&u) {
+                continue;
+            }
+            let [front, back] = [&slab.front, &slab.back].map(|position| {
+                let sample = L::pixel(&self.voxels, f.dims, position, [u, v]);
+                sample.with_x(self.table.coordinate(sample.x))
+            });
+            let length = if L::LENGTHS { f.relative_length(u, v) * slab.share } else { 1.0 };
+            let mut sample = if self.voxels.is_lit() {
+                self.sample::<true>(front, back, length)
+            } else {
+                self.sample::<false>(front, back, length)
+            };
+            if let Some(cue) = slab.cue {
+                sample = (sample * cue.scanline(v).at(u)).with_w(sample.w);
+            }
+            pixel = over(pixel, sample);
+            if pixel.w >= self.opaque {
+                break;
+            }
+        }
+        pixel
+    }
+}
+
+impl NaiveLattice for Unit {
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        dims: [usize; 3],
+        position: &Position<SlicePlacement>,
+        [u, v]: [usize; 2],
+    ) -> Vec4 {
+        let SlicePlacement { first, fraction } = position.placement;
+        let clamped = |at: usize, axis: usize| at.saturating_sub(first[axis]).min(dims[axis] - 1);
+        let before = |at: usize, axis: usize| clamped(at, axis);
+        let after = |at: usize, axis: usize| clamped(at + 1, axis);
+        let on_slice = |k: usize| {
+            let voxel = |i: usize, j: usize| voxels.block(j, k, i)[0];
+            let column = |i: usize| lerp(voxel(i, before(v, 1)), voxel(i, after(v, 1)), fraction[1]);
+            lerp(column(before(u, 0)), column(after(u, 0)), fraction[0])
+        };
+        let near = on_slice(position.near);
+        position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
+    }
+
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        [u, v]: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4> {
+        let slice = factorization.slice(k);
+        if !contains(&slice, factorization.dims, [u, v]) {
+            return None;
+        }
+        let (i, j) = (u - slice.first[0], v - slice.first[1]);
+        let row = |j: usize| [voxel(i, j), voxel(i + 1, j)];
+        let weights = Weights::new(slice.fraction[0], slice.fraction[1]);
+        Some(if slice.fraction[1] > 0.0 {
+            weights.sample::<true>(row(j), row(j + 1))
+        } else {
+            weights.sample::<false>(row(j), [Vec4::ZERO; 2])
+        })
+    }
+}
+
+impl NaiveLattice for Scaled {
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        _: [usize; 3],
+        position: &Position<[Footprint; 2]>,
+        [u, v]: [usize; 2],
+    ) -> Vec4 {
+        let on_slice = |k: usize| scaled(position.placement, [u, v], |i, j| voxels.block(j, k, i)[0]);
+        let near = on_slice(position.near);
+        position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
+    }
+
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        [u, v]: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4> {
+        let placement = Self::placement(factorization, k as f64);
+        let [us, vs] = Self::inside(factorization, &placement);
+        (us.contains(&u) && vs.contains(&v)).then(|| scaled(placement, [u, v], voxel))
+    }
+}
+
+/// The voxels under a pixel, weighted: scanlines first.
+fn scaled([along_u, along_v]: [Footprint; 2], [u, v]: [usize; 2], voxel: impl Fn(usize, usize) -> Vec4) -> Vec4 {
+    let under = |footprint: Footprint, at: usize| {
+        let first = footprint.first(at);
+        (first..first + footprint.taps()).map(move |voxel| (voxel, footprint.weight(at, voxel)))
+    };
+    let column = |i: usize| sum(under(along_v, v).map(|(j, weight)| voxel(i, j) * weight));
+    sum(under(along_u, u).map(|(i, weight)| column(i) * weight))
+}
+
+/// The sum of one or more, from the first on.
+fn sum(mut terms: impl Iterator<Item = Vec4>) -> Vec4 {
+    let first = terms.next().expect("a voxel under every pixel");
+    terms.fold(first, |sum, term| sum + term)
 }

@@ -1,0 +1,354 @@
+//! The kernel of slabs: what lies between two slices, looked up by the scalars on both (Schulze et
+//! al. 2003).
+//!
+//! For a scanline of pixels and a slab:
+//!
+//! 1. *Which pixels?* Those that pass a cell in which something may show and are not opaque
+//!    (`mask.rs`).
+//! 2. *Sample* the back slice at those pixels; the front slice's samples are the last slab's back ones
+//!    and wait in a buffer slice, but for pixels that had no work there (`samples.rs`).
+//! 3. *Look up and blend*: the slab by its two scalars, lit by the mean light of both samples,
+//!    its length and density corrected, "over".
+//!
+//! n slices have n - 1 slabs between them, or several times as many where slices are interpolated
+//! between slices. A slab that a side of the volume's box cuts counts where its middle is inside: half
+//! a slab too many is as likely as half too few. Its sample outside is that of the box's border.
+//!
+//! The paper's two kinds of buffer slice are both here: two buffers the size of a slice, which change
+//! places (SB), or one the size of the intermediate image, in which a pixel's back sample takes the
+//! place of its front sample (IB). Of either a band has its own scanlines only.
+
+use std::ops::Range;
+
+use glam::Vec4;
+
+use super::cue::{Cue, ScanlineCue, SliceCue};
+use super::lattice::Lattice;
+use super::mask::{Mask, Runs};
+use super::occupied::Occupied;
+use super::samples::{Position, VoxelRows};
+use super::{CANCEL_STEP, Composite, clear_bits, over};
+use crate::classify::preintegration::Slabs;
+use crate::render::factorization::Factorization;
+use crate::render::intermediate::{Band, ScanlineMut};
+use crate::render::slab::Correction;
+use crate::render::{BufferSlice, Cancel, RenderError};
+use crate::volume::gradient::Code;
+
+/// What the bands of a frame share.
+#[derive(Debug)]
+pub struct SlabComposite<'a, L, T, S, C> {
+    pub lattice: L,
+    pub factorization: &'a Factorization,
+    pub voxels: VoxelRows<'a, T>,
+    pub occupied: Occupied<'a>,
+    pub table: S,
+    pub correction: C,
+    /// `None`: nothing fades.
+    pub cue: Option<&'a Cue>,
+    /// Slabs from a slice of voxels to the next.
+    pub steps: usize,
+    pub buffer: BufferSlice,
+    /// Accumulated opacity at which a pixel is done.
+    pub opaque: f32,
+    pub cancel: &'a Cancel,
+}
+
+/// Row buffers, masks and buffer slices of a thread.
+#[derive(Debug)]
+pub struct Scratch<R> {
+    front: R,
+    back: R,
+    /// Lengths of the pixels' rays, in units of the view's; none where they have all the same.
+    lengths: Vec<f32>,
+    pixels: Mask,
+    fresh: Mask,
+    kept: Vec<Kept>,
+    buffer: Buffer,
+}
+
+/// Which pixels of a scanline have a sample in the buffer slice.
+#[derive(Clone, Debug)]
+struct Kept {
+    /// The slab that left them.
+    slab: usize,
+    pixels: Mask,
+}
+
+/// Where a slab lies.
+pub(super) struct Slab<'a, P> {
+    number: usize,
+    /// Slice of voxels below it, in the volume's order: the layer of cells that it is in.
+    layer: usize,
+    pub(super) front: Position<P>,
+    pub(super) back: Position<P>,
+    /// Its middle along k.
+    pub(super) middle: f64,
+    /// Its thickness: 1, but for the first one from an eye among the slices.
+    pub(super) share: f32,
+    /// Pixels along u and scanlines over which the middle is inside the volume.
+    pub(super) pixels: Range<usize>,
+    pub(super) scanlines: Range<usize>,
+    /// Depth cueing in its middle.
+    pub(super) cue: Option<SliceCue<'a>>,
+}
+
+impl<L: Lattice, T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, T, S, C> {
+    type Scratch = Scratch<L::Rows>;
+
+    fn scratch(&self, height: usize) -> Self::Scratch {
+        let [width, _] = self.factorization.size;
+        Scratch {
+            front: L::rows(self.factorization),
+            back: L::rows(self.factorization),
+            lengths: vec![],
+            pixels: Mask::new(width),
+            fresh: Mask::new(width),
+            kept: vec![Kept { slab: 0, pixels: Mask::new(width) }; height],
+            buffer: Buffer::new(self.buffer, L::buffer_length(self.factorization), width, height),
+        }
+    }
+
+    #[inline(always)]
+    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
+        for kept in &mut scratch.kept {
+            kept.pixels.clear();
+        }
+        if L::LENGTHS {
+            self.factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
+        }
+        for number in self.slabs() {
+            if number % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
+                return Err(RenderError::Cancelled);
+            }
+            self.slab(band, &self.place(number), scratch);
+            scratch.buffer.next_slab();
+        }
+        Ok(())
+    }
+}
+
+impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C> {
+    /// The slabs along a ray, front to back.
+    pub(super) fn slabs(&self) -> Range<usize> {
+        let f = self.factorization;
+        (f.start * self.steps as f64) as usize..f.layers() * self.steps
+    }
+
+    pub(super) fn place(&self, number: usize) -> Slab<'_, L::Placement> {
+        let f = self.factorization;
+        let [from, to] = [number, number + 1].map(|n| (n as f64 / self.steps as f64).max(f.start));
+        let middle = f.along((from + to) / 2.0);
+        let [pixels, scanlines] = L::inside(f, &L::placement(f, middle));
+        let layer = number / self.steps;
+        Slab {
+            number,
+            layer: if f.reversed { f.front - 1 - layer } else { f.front + layer },
+            front: Position::new::<L>(f, from),
+            back: Position::new::<L>(f, to),
+            middle,
+            share: ((to - from) * self.steps as f64) as f32,
+            pixels,
+            scanlines,
+            cue: self.cue.map(|cue| cue.slice(middle)),
+        }
+    }
+
+    /// One slab into one band.
+    #[inline(always)]
+    fn slab(&self, band: &mut Band<'_>, slab: &Slab<'_, L::Placement>, scratch: &mut Scratch<L::Rows>) {
+        let rows = band.first..band.first + band.height();
+        for v in slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end) {
+            let row = v - band.first;
+            let mut scanline = band.scanline(row);
+            if !self.find(slab, v, &scanline, &mut scratch.pixels) {
+                continue;
+            }
+            let Scratch { front, back, lengths, pixels, fresh, kept, buffer } = &mut *scratch;
+            let kept = &mut kept[row];
+            let samples = buffer.row(row, [&slab.front, &slab.back].map(|p| L::buffer_base(&p.placement)));
+            let missing = if kept.slab + 1 == slab.number {
+                fresh.difference(pixels, &kept.pixels)
+            } else {
+                fresh.copy_from(pixels);
+                true
+            };
+            if missing {
+                let out = (&mut *samples.front, samples.front_base);
+                L::sample(front, &self.voxels, self.table, &slab.front, (&slab.pixels, v), fresh, out);
+            }
+            let out = (&mut *samples.back, samples.back_base);
+            L::sample(back, &self.voxels, self.table, &slab.back, (&slab.pixels, v), pixels, out);
+            let lengths = if L::LENGTHS { &lengths[row * self.factorization.size[0]..] } else { &[] };
+            self.blend(&mut scanline, v, slab, pixels, &samples, lengths);
+            samples.keep(pixels);
+            kept.slab = slab.number;
+            kept.pixels.copy_from(pixels);
+        }
+    }
+
+    /// Finds the pixels of scanline `v` to work on; false where there is none.
+    #[inline(always)]
+    fn find(&self, slab: &Slab<'_, L::Placement>, v: usize, scanline: &ScanlineMut<'_>, pixels: &mut Mask) -> bool {
+        pixels.clear();
+        L::mark(
+            self.factorization,
+            &self.occupied,
+            slab.layer,
+            [&slab.front.placement, &slab.back.placement],
+            v,
+            pixels,
+        );
+        let any = pixels.keep(scanline.non_opaque, &slab.pixels);
+        if any && self.factorization.is_clipped() {
+            return pixels.keep(scanline.non_opaque, &self.factorization.visible_pixels(v, slab.middle));
+        }
+        any
+    }
+
+    /// Looks slabs up and blends them behind what is there.
+    #[inline(always)]
+    fn blend(
+        &self,
+        scanline: &mut ScanlineMut<'_>,
+        v: usize,
+        slab: &Slab<'_, L::Placement>,
+        pixels: &Mask,
+        samples: &BufferRow<'_>,
+        lengths: &[f32],
+    ) {
+        let lit = self.voxels.is_lit();
+        let cue = slab.cue.map(|cue| cue.scanline(v));
+        for (u, length) in Runs::new(pixels) {
+            let run = Run {
+                u,
+                cue,
+                pixels: &mut scanline.pixels[u..][..length],
+                front: &samples.front[(u as isize - samples.front_base) as usize..][..length],
+                back: &samples.back[(u as isize - samples.back_base) as usize..][..length],
+                lengths: if L::LENGTHS { &lengths[u..][..length] } else { &[] },
+                share: slab.share,
+            };
+            let opaque = match (lit, cue.is_some()) {
+                (false, false) => self.blend_run::<false, false>(run),
+                (false, true) => self.blend_run::<false, true>(run),
+                (true, false) => self.blend_run::<true, false>(run),
+                (true, true) => self.blend_run::<true, true>(run),
+            };
+            if opaque != 0 {
+                clear_bits(scanline.non_opaque, u, opaque);
+            }
+        }
+    }
+
+    /// Blends consecutive pixels; gives the mask of those that became opaque.
+    #[inline(always)]
+    fn blend_run<const LIT: bool, const CUED: bool>(&self, run: Run<'_>) -> u64 {
+        let mut opaque = 0;
+        let samples = run.front.iter().zip(run.back);
+        for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
+            let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
+            let mut sample = self.sample::<LIT>(*front, *back, length);
+            if CUED && let Some(cue) = run.cue {
+                sample = (sample * cue.at(run.u + at)).with_w(sample.w);
+            }
+            *pixel = over(*pixel, sample);
+            opaque |= u64::from(pixel.w >= self.opaque) << at;
+        }
+        opaque
+    }
+
+    /// Premultiplied colour and opacity between two samples, of a slab of so many times the view's length.
+    #[inline(always)]
+    pub(super) fn sample<const LIT: bool>(&self, front: Vec4, back: Vec4, length: f32) -> Vec4 {
+        let mean = (front + back) * 0.5;
+        let slab = self.correction.correct(self.table.slab(front.x, back.x), mean.w, length);
+        if LIT { (slab * mean.y + Vec4::splat(mean.z * slab.w)).min(Vec4::splat(slab.w)).with_w(slab.w) } else { slab }
+    }
+}
+
+/// Consecutive pixels and their samples.
+struct Run<'a> {
+    u: usize,
+    cue: Option<ScanlineCue<'a>>,
+    pixels: &'a mut [Vec4],
+    front: &'a [Vec4],
+    back: &'a [Vec4],
+    lengths: &'a [f32],
+    share: f32,
+}
+
+/// The buffer slice, or rather a band's part of it.
+#[derive(Debug)]
+struct Buffer {
+    kind: BufferSlice,
+    /// SB: two slices. IB: the scanlines of the image, and one of back samples.
+    slices: [Vec<Vec4>; 2],
+    /// Samples in a scanline.
+    length: usize,
+    /// SB: which of the slices is in front.
+    front: usize,
+}
+
+/// A scanline of front samples and one of back samples: pixel u is at `u - base`.
+struct BufferRow<'a> {
+    front: &'a mut [Vec4],
+    front_base: isize,
+    back: &'a mut [Vec4],
+    back_base: isize,
+    in_place: bool,
+}
+
+impl Buffer {
+    fn new(kind: BufferSlice, slice: usize, width: usize, height: usize) -> Self {
+        let (length, rows) = match kind {
+            BufferSlice::Slice => (slice, [height, height]),
+            BufferSlice::Image => (width, [height, 1]),
+        };
+        Self { kind, slices: rows.map(|rows| vec![Vec4::ZERO; rows * length]), length, front: 0 }
+    }
+
+    /// The scanlines of a band's row.
+    #[inline(always)]
+    fn row(&mut self, row: usize, [front_base, back_base]: [isize; 2]) -> BufferRow<'_> {
+        let [first, second] = &mut self.slices;
+        let at = row * self.length;
+        match self.kind {
+            BufferSlice::Image => BufferRow {
+                front: &mut first[at..][..self.length],
+                front_base: 0,
+                back: second,
+                back_base: 0,
+                in_place: true,
+            },
+            BufferSlice::Slice => {
+                let (front, back) = if self.front == 0 { (first, second) } else { (second, first) };
+                BufferRow {
+                    front: &mut front[at..][..self.length],
+                    front_base,
+                    back: &mut back[at..][..self.length],
+                    back_base,
+                    in_place: false,
+                }
+            }
+        }
+    }
+
+    /// What was behind is in front.
+    #[inline(always)]
+    fn next_slab(&mut self) {
+        self.front = 1 - self.front;
+    }
+}
+
+impl BufferRow<'_> {
+    /// Leaves the back samples of `pixels` where the next slab looks for its front ones.
+    #[inline(always)]
+    fn keep(self, pixels: &Mask) {
+        if self.in_place {
+            for (u, length) in Runs::new(pixels) {
+                self.front[u..][..length].copy_from_slice(&self.back[u..][..length]);
+            }
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! The kernel of single voxels: each slice's voxels, shaded and resampled, "over" what is in front.
+//!
+//! For a scanline of a slice:
+//!
+//! 1. *Which pixels?* The runs of the two voxel scanlines that the pixels gather from are marked
+//!    as bits; a pixel needs work if a voxel it touches is marked and it is not opaque itself. That
+//!    is a union, a shift and an intersection of machine words (`spans.rs`).
+//! 2. *Shade* the voxels those pixels touch into a row buffer, each once: the lower scanline of
+//!    one pixel row is the upper one of the next (`rows.rs`).
+//! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
+//!    opaque pixel's bit is cleared.
+
+use glam::Vec4;
+
+use super::cue::{Cue, ScanlineCue};
+use super::lattice::{Lattice, Unit};
+use super::rows::RowBuffers;
+use super::sources::VoxelSource;
+use super::spans::Spans;
+use super::{CANCEL_STEP, Composite, WORD, clear_bits, first_run, over, run_mask};
+use crate::render::factorization::{Factorization, SlicePlacement};
+use crate::render::intermediate::{Band, ScanlineMut};
+use crate::render::material::{Light, Material};
+use crate::render::{Cancel, RenderError};
+
+/// What the bands of a frame share.
+#[derive(Debug)]
+pub struct Voxels<'a, L, V, H, const FACTORED: bool> {
+    pub lattice: L,
+    pub source: V,
+    pub factorization: &'a Factorization,
+    pub material: Material<'a, H, FACTORED>,
+    /// `None`: nothing fades.
+    pub cue: Option<&'a Cue>,
+    /// Accumulated opacity at which a pixel is done.
+    pub opaque: f32,
+    pub cancel: &'a Cancel,
+}
+
+/// A lattice over slices of single voxels.
+pub trait VoxelLattice: Lattice {
+    /// Row buffers and masks of a thread.
+    type Scratch: Send;
+
+    /// Scratch for a part of a view.
+    fn scratch(factorization: &Factorization) -> Self::Scratch;
+
+    /// What a band's slices share. Called before the first.
+    fn enter_band(factorization: &Factorization, band: &Band<'_>, scratch: &mut Self::Scratch);
+
+    /// One slice into one band. Implementations are `#[inline(always)]`.
+    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
+        voxels: &Voxels<'_, Self, V, H, FACTORED>,
+        band: &mut Band<'_>,
+        k: usize,
+        scratch: &mut Self::Scratch,
+    );
+}
+
+impl<L: VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Composite for Voxels<'_, L, V, H, FACTORED> {
+    type Scratch = L::Scratch;
+
+    fn scratch(&self, _: usize) -> Self::Scratch {
+        L::scratch(self.factorization)
+    }
+
+    #[inline(always)]
+    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
+        L::enter_band(self.factorization, band, scratch);
+        let slices = self.factorization.slices.clone();
+        for step in 0..slices.len() {
+            if step % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
+                return Err(RenderError::Cancelled);
+            }
+            let k = if self.factorization.reversed { slices.end - 1 - step } else { slices.start + step };
+            L::slice(self, band, k, scratch);
+        }
+        Ok(())
+    }
+}
+
+impl VoxelLattice for Unit {
+    type Scratch = (RowBuffers, Spans);
+
+    fn scratch(factorization: &Factorization) -> Self::Scratch {
+        (RowBuffers::new(factorization.dims[0]), Spans::new(factorization.dims[0]))
+    }
+
+    #[inline(always)]
+    fn enter_band(_: &Factorization, _: &Band<'_>, _: &mut Self::Scratch) {}
+
+    #[inline(always)]
+    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
+        voxels: &Voxels<'_, Self, V, H, FACTORED>,
+        band: &mut Band<'_>,
+        k: usize,
+        (rows, spans): &mut Self::Scratch,
+    ) {
+        voxels.slice(band, k, rows, spans);
+    }
+}
+
+impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACTORED> {
+    /// One slice into one band.
+    #[inline(always)]
+    fn slice(&self, band: &mut Band<'_>, k: usize, rows: &mut RowBuffers, spans: &mut Spans) {
+        let placement = self.factorization.slice(k);
+        let [fraction_u, fraction_v] = placement.fraction;
+        let material = self.material.slice(self.factorization.share(k));
+        // Pixels between the slice's first and last voxel scanline: nothing lies outside the box.
+        let last = self.factorization.dims[1] - 1 - usize::from(fraction_v > 0.0);
+        let first_row = placement.first[1].saturating_sub(band.first);
+        let end_row = (placement.first[1] + last + 1).saturating_sub(band.first).min(band.height());
+        let weights = Weights::new(fraction_u, fraction_v);
+        let cue = self.cue.map(|cue| cue.slice(k as f64));
+        rows.next_slice();
+        for row in first_row..end_row {
+            let v = band.first + row;
+            let j = v - placement.first[1];
+            let upper = self.source.scanline(j, k);
+            let lower = (fraction_v > 0.0).then(|| self.source.scanline(j + 1, k));
+            let empty = |scanline| self.source.is_empty(scanline);
+            if empty(&upper) && lower.as_ref().is_none_or(empty) {
+                continue;
+            }
+            rows.enter(self.source, j, &upper, lower.as_ref());
+            let mut scanline = band.scanline(row);
+            self.find(spans, rows, &scanline, &placement, [v, k]);
+            if V::CLASSIFIES && !spans.is_empty() {
+                rows.classify(self.source, &upper, lower.as_ref(), spans);
+                self.find(spans, rows, &scanline, &placement, [v, k]);
+            }
+            if spans.is_empty() {
+                continue;
+            }
+            rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
+            let cue = cue.map(|cue| cue.scanline(v));
+            self.blend(&mut scanline, placement.first[0], rows, spans, &weights, cue);
+        }
+    }
+
+    /// Finds the pixels that touch a marked voxel, are not opaque and not clipped away.
+    #[inline(always)]
+    fn find(
+        &self,
+        spans: &mut Spans,
+        rows: &RowBuffers,
+        scanline: &ScanlineMut<'_>,
+        placement: &SlicePlacement,
+        [v, k]: [usize; 2],
+    ) {
+        spans.find(rows, scanline, placement.first[0], placement.fraction[0] > 0.0);
+        if self.factorization.is_clipped() {
+            spans.clip(self.factorization.visible_pixels(v, k as f64), placement.first[0]);
+        }
+    }
+
+    /// Resamples the row buffers at the spans' pixels and blends behind what is there.
+    #[inline(always)]
+    fn blend(
+        &self,
+        scanline: &mut ScanlineMut<'_>,
+        first_u: usize,
+        rows: &RowBuffers,
+        spans: &Spans,
+        weights: &Weights,
+        cue: Option<ScanlineCue<'_>>,
+    ) {
+        for (word, &bits) in spans.pixels().iter().enumerate() {
+            let mut bits = bits;
+            while bits != 0 {
+                let (start, length) = first_run(bits);
+                bits &= !run_mask(start, length);
+                let i = word * WORD + start;
+                let u = i + first_u;
+                let (upper, lower) = rows.voxels(i, length + 1);
+                let pixels = &mut scanline.pixels[u..u + length];
+                let opaque = match (rows.has_lower(), cue) {
+                    (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (false, None) => blend_run::<false, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (true, Some(_)) => blend_run::<true, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (false, Some(_)) => blend_run::<false, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                };
+                if opaque != 0 {
+                    clear_bits(scanline.non_opaque, u, opaque);
+                }
+            }
+        }
+    }
+}
+
+/// Bilinear weights of the four voxels around a pixel, the same for all of a slice.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Weights {
+    upper: [f32; 2],
+    lower: [f32; 2],
+}
+
+impl Weights {
+    #[inline(always)]
+    pub(super) fn new(fraction_u: f32, fraction_v: f32) -> Self {
+        let along = [1.0 - fraction_u, fraction_u];
+        Self { upper: along.map(|w| w * (1.0 - fraction_v)), lower: along.map(|w| w * fraction_v) }
+    }
+
+    /// The resampled value between two voxels of the upper and two of the lower scanline.
+    #[inline(always)]
+    pub(super) fn sample<const LOWER: bool>(&self, upper: [Vec4; 2], lower: [Vec4; 2]) -> Vec4 {
+        let above = upper[0] * self.upper[0] + upper[1] * self.upper[1];
+        if LOWER { above + (lower[0] * self.lower[0] + lower[1] * self.lower[1]) } else { above }
+    }
+}
+
+/// Blends consecutive pixels; gives the mask of those that became opaque.
+#[inline(always)]
+fn blend_run<const LOWER: bool, const CUED: bool>(
+    pixels: &mut [Vec4],
+    upper: &[Vec4],
+    lower: &[Vec4],
+    weights: &Weights,
+    (cue, u): (Option<ScanlineCue<'_>>, usize),
+    opaque: f32,
+) -> u64 {
+    let mut done = 0;
+    let voxels = upper.windows(2).zip(lower.windows(2));
+    for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
+        let mut sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
+        if CUED && let Some(cue) = cue {
+            sample = (sample * cue.at(u + at)).with_w(sample.w);
+        }
+        *pixel = over(*pixel, sample);
+        done |= u64::from(pixel.w >= opaque) << at;
+    }
+    done
+}

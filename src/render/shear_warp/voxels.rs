@@ -1,0 +1,86 @@
+//! The pass of single voxels: where they come from, and the kernel's other type parameters.
+
+use super::{Begun, Pass};
+use crate::classify::Encodings;
+use crate::render::RenderError;
+use crate::render::composite::lattice::{Scaled, Unit};
+use crate::render::composite::naive::NaiveLattice;
+use crate::render::composite::occupied::LeafRows;
+use crate::render::composite::samples::{VoxelLight, VoxelRows};
+use crate::render::composite::sources::{Unencoded, VoxelSource};
+use crate::render::composite::voxels::{VoxelLattice, Voxels};
+use crate::render::intermediate::IntermediateImage;
+use crate::render::material::{ByNormal, ByRay, Light, Material, SliceTables, Unlit};
+use crate::volume::gradient::Code;
+use crate::volume::scanlines::{AnyScanlines, Scanlines};
+
+impl Pass<'_> {
+    /// Composites voxels into `image`: encoded ones where they are there, else as they are stored.
+    pub(super) fn voxels(&self, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
+        let axis = self.factorization.principal_axis;
+        match self.scene.encodings.and_then(Encodings::voxels) {
+            Some(encoded) => self.with_source(encoded.for_axis(axis), image),
+            None => match self.scene.prepared.scanlines(axis) {
+                AnyScanlines::U8(scanlines) => self.unencoded(scanlines, image),
+                AnyScanlines::U16(scanlines) => self.unencoded(scanlines, image),
+            },
+        }
+    }
+
+    fn unencoded<T: Code>(
+        &self,
+        scanlines: Scanlines<'_, T>,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        let Self { scene, classification, factorization, .. } = *self;
+        let leaves = LeafRows::new(classification.occupied(), factorization);
+        let source = Unencoded {
+            voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, VoxelLight::Off, scene.transfer),
+            leaves: &leaves,
+            tables: classification.tables(),
+        };
+        self.with_source(source, image)
+    }
+
+    fn with_source<V: VoxelSource>(&self, source: V, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
+        match (self.table, self.ray_light, self.factorization.is_parallel()) {
+            (Some(table), ..) => self.with_light(Unit, source, ByNormal(table), image),
+            (None, Some(light), _) => self.with_light(Scaled, source, ByRay(light), image),
+            (None, None, true) => self.with_light(Unit, source, Unlit, image),
+            (None, None, false) => self.with_light(Scaled, source, Unlit, image),
+        }
+    }
+
+    fn with_light<L: VoxelLattice + NaiveLattice, V: VoxelSource, H: Light>(
+        &self,
+        lattice: L,
+        source: V,
+        light: H,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        let factored = !self.scene.transfer.gradient_opacity.is_empty();
+        let tables = SliceTables::new(self.classification.tables(), self.factorization, factored);
+        if factored {
+            self.run(&self.composite(lattice, source, Material::<_, true>::new(&tables, light)), image)
+        } else {
+            self.run(&self.composite(lattice, source, Material::<_, false>::new(&tables, light)), image)
+        }
+    }
+
+    fn composite<'b, L, V, H, const FACTORED: bool>(
+        &'b self,
+        lattice: L,
+        source: V,
+        material: Material<'b, H, FACTORED>,
+    ) -> Voxels<'b, L, V, H, FACTORED> {
+        Voxels {
+            lattice,
+            source,
+            factorization: self.factorization,
+            material,
+            cue: self.cue,
+            opaque: self.settings.early_ray_termination,
+            cancel: self.cancel,
+        }
+    }
+}
