@@ -1,11 +1,10 @@
 //! Perspective: scaled slices, parts, eyes in and near the volume.
 
 use glam::DVec3;
-use proptest::prelude::*;
-use shearwarp::render::{Algorithm, Camera, Image, Light, LookAt, Orbit, Projection, Settings, Shading, View};
+use shearwarp::render::{Algorithm, Camera, Light, LookAt, Orbit, Projection, Settings, Shading};
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
-use crate::scenes::{ANGLES, Prepared, on_threads, plain, transfer};
+use crate::scenes::{ANGLES, Prepared, plain, transfer};
 
 fn volume(dims: [usize; 3], spacing: [f64; 3], code: impl Fn([f64; 3]) -> f64) -> Volume {
     let codes = (0..dims.iter().product()).map(|index: usize| {
