@@ -15,7 +15,7 @@
 //! final pixel's ray meets the front slice in one point, which gives the warp without inverting a view
 //! matrix: (u, v) is an affine function of (x, y).
 //!
-//! Perspective rays become parallel where slices are scaled too, about the eye; [`perspective`]
+//! Perspective rays become parallel where slices are scaled too, about the eye; `perspective`
 //! has the argument. What follows sees one kind of thing: pixel (u, v) meets slice `k` in voxel
 //! coordinates `offset + scale (u, v)`, the slice's [`Lattice`]. Under parallel projection the scale is 1.
 

@@ -71,6 +71,7 @@ impl RayLight {
         let start = (self.eye - self.steps * DVec3::new(0.0, j, k)).as_vec3();
         let step = self.steps.x_axis.as_vec3();
         let mut to_eye = [[0.0; N]; 3];
+        #[expect(clippy::needless_range_loop, reason = "lanes of several arrays are walked together")]
         for n in 0..N {
             let Vec3 { x, y, z } = start - step * (i as f32 + n as f32);
             let length = (x * x + y * y + z * z).sqrt();

@@ -284,8 +284,7 @@ fn wide_views_from_within_are_the_ray_casters_and_have_no_seams() {
                 (*sum, *count) = (*sum + jump, *count + 1);
             }
             assert!(at_joints.1 > 20, "no joint in the picture");
-            let (at_joints, elsewhere) =
-                (at_joints.0 / f64::from(at_joints.1), elsewhere.0 / f64::from(elsewhere.1));
+            let (at_joints, elsewhere) = (at_joints.0 / f64::from(at_joints.1), elsewhere.0 / f64::from(elsewhere.1));
             let what = format!("{algorithm:?} {} {fov_y}", shading.is_some());
             assert!(mean < 4.0, "{what}: {mean} from the ray caster");
             assert!(at_joints < elsewhere + 1.0, "{what}: {at_joints} across joints, {elsewhere} elsewhere");

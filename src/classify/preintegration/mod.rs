@@ -8,7 +8,7 @@
 //! color(f, b) = int_0^1 tau(s(w)) c(s(w)) exp(-d * int_0^w tau) d dw     premultiplied
 //! ```
 //!
-//! The transfer function is integrated where the table is made ([`medium`]), however sharp its peaks
+//! The transfer function is integrated where the table is made (`medium`), however sharp its peaks
 //! are, and not sampled where the slices happen to be.
 
 mod axis;

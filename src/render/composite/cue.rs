@@ -17,6 +17,7 @@ const LARGEST_EXPONENT: f64 = 25.0;
 
 /// What colours are multiplied with.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "one a frame")]
 pub enum Cue {
     /// Under parallel projection.
     Tables(DepthTables),

@@ -105,8 +105,7 @@ impl Pyramid {
                 best = Some((slope, axis, polygon));
             }
         }
-        best.filter(|(slope, ..)| *slope <= SLOPE_LIMIT)
-            .map(|(_, axis, polygon)| (axis, polygon))
+        best.filter(|(slope, ..)| *slope <= SLOPE_LIMIT).map(|(_, axis, polygon)| (axis, polygon))
     }
 
     /// The polygon of the rays that meet the volume and are most parallel to `axis`.
