@@ -216,7 +216,7 @@ fn an_eye_in_a_uniform_box_sees_what_is_in_front_of_it() {
         ([-0.31, 0.12, -0.2], [-0.2, 0.1, 1.0]),
         ([0.3, 0.3, 0.3], [-1.0, -1.0, -1.0]),
     ] {
-        for fov_y in [20.0, 100.0, 150.0] {
+        for fov_y in [20.0f64, 100.0, 150.0] {
             // Intermediate pixels are finer than voxels or than final pixels.
             let reach = (24.0 / (fov_y.to_radians() / 2.0).tan() / 20.0).max(1.0) * 2f64.sqrt();
             for algorithm in [Algorithm::Classified, Algorithm::Preintegrated] {
