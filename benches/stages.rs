@@ -92,7 +92,7 @@ fn preintegration(criterion: &mut Criterion) {
 /// Positions of all codes, eight at a time; summed up.
 fn coordinates(table: impl Slabs, codes: &[f32]) -> [f32; 8] {
     let mut sums = [0.0; 8];
-    for codes in black_box(codes).as_chunks().0 {
+    for codes in black_box(codes).as_chunks::<8>().0 {
         for (sum, position) in sums.iter_mut().zip(table.coordinates(*codes)) {
             *sum += position;
         }

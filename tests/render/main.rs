@@ -5,6 +5,7 @@ mod equivalence;
 mod golden;
 mod invariance;
 mod layering;
+mod perspective;
 mod projections;
 mod ramp;
 mod scenes;

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use shearwarp::classify::{GradientPoint, TransferFunction};
 use shearwarp::render::{
     Algorithm, Background, Blend, Camera, DepthCueing, Image, IntensityProjection, Light, LookAt, Lookup,
-    OpacityCorrection, Orbit, Preintegration, Projection, Quality, Settings, Shading, Window,
+    OpacityCorrection, Orbit, Preintegration, Projection, Quality, Settings, Shading, SlabTable, Window,
 };
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
@@ -63,6 +63,11 @@ fn all_settings() -> Vec<Settings> {
             preintegration: options(Lookup::Bilinear, OpacityCorrection::Off),
             ..high()
         },
+        Settings {
+            shading: Some(Shading::default()),
+            preintegration: Preintegration { table: SlabTable::OneDimensional, ..Preintegration::of(Quality::High) },
+            ..high()
+        },
         projection(IntensityProjection::Maximum),
         projection(IntensityProjection::Minimum),
         projection(IntensityProjection::Average),
@@ -114,7 +119,7 @@ proptest! {
         perspective in any::<bool>(),
         low in 0.0f64..200.0,
         opacity in 0.05f64..1.0,
-        which in 0usize..6,
+        which in 0usize..7,
     ) {
         let scalars = (0..dims.iter().product()).map(|at: usize| codes[at / 5 % 97]).collect();
         let report = ImportReport::plain("test", ScalarType::U8);
@@ -154,7 +159,7 @@ fn wide_views_from_within_are_the_ray_casters_without_a_step_at_the_joints() {
         let frame = scene.frame(&view, &settings);
         let reference = Settings { algorithm: Algorithm::Raycast, sample_distance: 0.05, ..settings };
         let (largest, mean) = differences(&frame, &scene.frame(&view, &reference));
-        assert!(largest <= 3 && mean < 0.3, "{fov_y}: {largest} at most, {mean} in the mean");
+        assert!(largest <= 4 && mean < 0.3, "{fov_y}: {largest} at most, {mean} in the mean");
     }
 }
 
@@ -187,7 +192,7 @@ fn projections_are_the_ray_casters() {
     let scene = Prepared::new(lumps([40, 44, 36], [1.0, 0.8, 1.3]), surface(), 0.0);
     for projection in [Projection::Parallel, Projection::Perspective] {
         let view = scene.view(&orbit(projection, (35.0, 20.0)), 48, 48);
-        for settings in &all_settings()[3..] {
+        for settings in &all_settings()[4..] {
             let settings = Settings {
                 preintegration: Preintegration { samples_per_voxel: 8, ..settings.preintegration },
                 ..settings.clone()

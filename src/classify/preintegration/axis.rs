@@ -72,7 +72,7 @@ impl SlabAxis {
     /// Position of a (fractional) code on the axis, 0..=entries - 1.
     #[inline(always)]
     pub fn coordinate(&self, code: f32) -> f32 {
-        if self.knots.is_empty() { code - self.first_code } else { self.between_knots(code) }
+        if self.knots.is_empty() { self.above_first(code) } else { self.between_knots(code) }
     }
 
     /// Positions of several codes.
@@ -80,7 +80,7 @@ impl SlabAxis {
     pub fn coordinates<const N: usize>(&self, mut codes: [f32; N]) -> [f32; N] {
         if self.knots.is_empty() {
             for code in &mut codes {
-                *code -= self.first_code;
+                *code = self.above_first(*code);
             }
         } else {
             for code in &mut codes {
@@ -88,6 +88,13 @@ impl SlabAxis {
             }
         }
         codes
+    }
+
+    /// At least 0: rounding may leave a scalar a hair below the first code.
+    #[inline(always)]
+    fn above_first(&self, code: f32) -> f32 {
+        let code = code - self.first_code;
+        if code > 0.0 { code } else { 0.0 }
     }
 
     #[inline(always)]
@@ -123,8 +130,9 @@ impl SlabAxis {
     /// The codes of the entries that are read for a scalar within `rounding` of `code`.
     pub(super) fn reach(&self, codes: &[f64], code: f32, rounding: f32) -> (f64, f64) {
         let last = (self.entries - 1) as f32;
+        let position_rounding = if self.knots.is_empty() { 0.0 } else { POSITION_ROUNDING };
         let at = |code: f32, rounding: f32| split((self.coordinate(code) + rounding).clamp(0.0, last));
-        let (low, high) = (at(code - rounding, -POSITION_ROUNDING), at(code + rounding, POSITION_ROUNDING));
+        let (low, high) = (at(code - rounding, -position_rounding), at(code + rounding, position_rounding));
         (codes[low.0], codes[high.0 + usize::from(high.1 > 0.0)])
     }
 

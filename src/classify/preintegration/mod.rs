@@ -31,14 +31,14 @@ use glam::Vec4;
 use super::transfer::TransferFunction;
 use crate::volume::Volume;
 pub use axis::SlabAxis;
-use kept::Kept;
+use kept::{KEPT, Kept};
 use medium::Medium;
 use ranges::Ranges;
 use running::Scale;
 pub use running::{OneDimensional, RunningSums};
 pub use table::{Bilinear, Nearest, SlabTable};
 
-/// What all slab tables of a volume under a transfer function share, and the tables made so far.
+/// What all slab tables of a volume under a transfer function share, and the newest of those tables.
 #[derive(Debug)]
 pub struct SlabTables {
     medium: Medium,
@@ -50,10 +50,6 @@ pub struct SlabTables {
     tables: Kept<(Form, u32), SlabTable>,
     sums: Kept<(Form, u32), RunningSums>,
 }
-
-/// Bytes of the tables that are kept, of either kind: 32 of 256 entries, as many as a turn-around in
-/// steps of three degrees asks for.
-const KEPT_BYTES: u64 = 34 << 20;
 
 /// A way to read slabs.
 pub trait Slabs: Copy + Send + Sync {
@@ -95,9 +91,8 @@ impl Form {
     }
 }
 
-/// Rounding of a sampled scalar, as a share of it: what is resampled from voxels of one code is so near to
-/// that code.
-const ROUNDING: f32 = 1e-6;
+/// Rounding of a sampled scalar: what is resampled from voxels of code `c` alone is within `c * ROUNDING`.
+const ROUNDING: f32 = 1e-5;
 
 impl SlabTables {
     /// Entries along an axis at most.
@@ -117,15 +112,7 @@ impl SlabTables {
             (two.0.min(one.0), two.1.max(one.1))
         };
         let visible = visible_codes(&medium, last, reach);
-        Self {
-            visible,
-            axis: Arc::new(axis),
-            medium,
-            scale,
-            ranges,
-            tables: Kept::new(KEPT_BYTES, SlabTable::bytes),
-            sums: Kept::new(KEPT_BYTES, RunningSums::bytes),
-        }
+        Self { visible, axis: Arc::new(axis), medium, scale, ranges, tables: Kept::new(), sums: Kept::new() }
     }
 
     /// A flag for each code, 0 up to the volume's largest: true where a slab that reaches the code may
@@ -151,10 +138,10 @@ impl SlabTables {
         self.sums.get((form, length.to_bits()), make)
     }
 
-    /// Bytes in memory.
+    /// Bytes in memory, once as many tables were made as are kept.
     pub fn bytes(&self) -> u64 {
         let shared = self.medium.bytes() + self.axis.bytes() + self.ranges.bytes() + self.visible.len() as u64;
-        shared + self.tables.bytes() + self.sums.bytes()
+        shared + KEPT as u64 * (SlabTable::bytes(self.axis.entries()) + RunningSums::bytes(self.scale))
     }
 }
 

@@ -59,7 +59,9 @@ impl Scale {
 
     #[inline(always)]
     fn coordinate(self, code: f32) -> f32 {
-        (code - self.first_code) * self.entries_per_code
+        // Rounding may leave a scalar a hair below the first code.
+        let code = code - self.first_code;
+        if code > 0.0 { code * self.entries_per_code } else { 0.0 }
     }
 
     fn code(self, entry: usize) -> f64 {
@@ -102,9 +104,11 @@ impl RunningSums {
             sum += mean;
             sum
         }));
-        // An entry beyond the last is read with weight 0.
-        sums.push(sum);
-        let media = (0..sums.len()).map(|entry| integrand(scale.code(entry.min(scale.intervals))).as_vec4()).collect();
+        // Beyond the last entry, where rounding may lead, its medium goes on.
+        let last = integrand(scale.code(scale.intervals));
+        sums.push(sum + last);
+        let media = (0..=scale.intervals).map(|entry| integrand(scale.code(entry))).chain([last]);
+        let media = media.map(|medium| medium.as_vec4()).collect();
         Self { scale, sums, media, length: length as f32 }
     }
 
@@ -128,7 +132,8 @@ impl RunningSums {
         let (Some(near), Some(far)) = sums else { return Vec4::ZERO };
         let near = near[0] + (near[1] - near[0]) * f64::from(wf);
         let far = far[0] + (far[1] - far[0]) * f64::from(wb);
-        ((far - near) / f64::from(distance)).as_vec4()
+        // The two have one sign; zero has none.
+        ((far - near) / f64::from(distance)).as_vec4().abs()
     }
 
     /// The length of its slabs, mm.
@@ -136,9 +141,9 @@ impl RunningSums {
         self.length
     }
 
-    /// Bytes in memory.
-    pub fn bytes(&self) -> u64 {
-        (size_of_val(&self.sums[..]) + size_of_val(&self.media[..])) as u64
+    /// Bytes in memory of sums on `scale`.
+    pub(super) fn bytes(scale: Scale) -> u64 {
+        ((scale.intervals + 2) * (size_of::<DVec4>() + size_of::<Vec4>())) as u64
     }
 }
 

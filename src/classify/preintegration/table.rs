@@ -22,8 +22,8 @@ use super::{Form, SlabAxis, Slabs};
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlabTable {
     axis: Arc<SlabAxis>,
-    /// By `front * stride + back`; a row and a column more than there are entries, so that what
-    /// lies on the last entry can be read as if it lay before another.
+    /// By `front * stride + back`; the last row and the last column are there twice, so that what
+    /// lies on the last entry, or a hair beyond, can be read as if it lay before another.
     slabs: Vec<Vec4>,
     stride: usize,
     length: f32,
@@ -36,8 +36,10 @@ impl SlabTable {
         let slabs: Vec<_> = (0..entries).into_par_iter().map(|from| ranges.slabs(from, length, form)).collect();
         let stride = entries + 1;
         let mut table = vec![Vec4::ZERO; stride * (entries + 1)];
-        table[..stride * entries].par_chunks_mut(stride).enumerate().for_each(|(front, row)| {
-            for (back, slab) in row[..entries].iter_mut().enumerate() {
+        table.par_chunks_mut(stride).enumerate().for_each(|(front, row)| {
+            let front = front.min(entries - 1);
+            for (back, slab) in row.iter_mut().enumerate() {
+                let back = back.min(entries - 1);
                 *slab = match back.cmp(&front) {
                     Ordering::Greater => slabs[front][back - front - 1][0],
                     Ordering::Less => slabs[back][front - back - 1][1],
@@ -59,9 +61,9 @@ impl SlabTable {
         self.length
     }
 
-    /// Bytes in memory.
-    pub fn bytes(&self) -> u64 {
-        size_of_val(&self.slabs[..]) as u64
+    /// Bytes in memory of a table of so many entries along an axis.
+    pub(super) fn bytes(entries: usize) -> u64 {
+        ((entries + 1) * (entries + 1) * size_of::<Vec4>()) as u64
     }
 
     /// The entry nearest to two positions on the axis.

@@ -9,20 +9,40 @@
 //! Interpolation is `a + (b - a) f`, which between two equal scalars is that scalar: what lies within a
 //! range stays within it, so that slabs over transparent ranges stay exactly zero. First down a
 //! column of two voxels, then along the row, where each column serves two pixels.
+//!
+//! Reading voxels depends on their type and on what lights them, and nothing else of the kernel does. So it is a
+//! job of its own ([`Blocks`]), called for the blocks that a row lacks: the kernel, which has many type
+//! parameters, is not compiled for each type of voxel again.
+
+use std::fmt::Debug;
+use std::ops::RangeInclusive;
 
 use glam::{DMat3, Vec3, Vec4};
 
 use super::WORD;
+use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
+use crate::render::ray_light::RayLight;
+use crate::render::simd::{self, Kernel};
 use crate::volume::Volume;
 use crate::volume::gradient::{Code, GradientFrame, encode_normal, gradient_at};
 use crate::volume::scanlines::Scanlines;
 
 /// Voxels that are read at once.
 pub const BLOCK: usize = 8;
+
+/// What voxels are lit by.
+#[derive(Clone, Copy, Debug)]
+pub enum VoxelLight<'a> {
+    Off,
+    /// Factor and addend by code of the normal.
+    ByNormal(&'a [[f32; 2]]),
+    /// Along the ray that each is seen by.
+    ByRay(&'a RayLight),
+}
 
 /// A volume's voxels as one principal axis walks them, to be sampled.
 #[derive(Clone, Copy, Debug)]
@@ -34,8 +54,7 @@ pub struct VoxelRows<'a, T> {
     /// The volume's axes that i, j, k stand for.
     permutation: [usize; 3],
     frame: GradientFrame,
-    /// Factor and addend by code of the normal; empty where nothing is shaded.
-    shades: &'a [[f32; 2]],
+    light: VoxelLight<'a>,
     gradient_opacity: Option<&'a TransferFunction>,
 }
 
@@ -45,7 +64,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         scanlines: Scanlines<'a, T>,
         volume: &'a Volume,
         factorization: &Factorization,
-        shades: &'a [[f32; 2]],
+        light: VoxelLight<'a>,
         transfer: &'a TransferFunction,
     ) -> Self {
         Self {
@@ -54,27 +73,27 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             dims: factorization.dims,
             permutation: PERMUTATIONS[factorization.principal_axis],
             frame: GradientFrame::new(volume.placement(), volume.rescale().0),
-            shades,
+            light,
             gradient_opacity: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
         }
-    }
-
-    /// True where samples have light.
-    #[inline(always)]
-    pub fn is_lit(&self) -> bool {
-        !self.shades.is_empty()
     }
 
     /// Samples at eight voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
     /// its last voxel is repeated.
     #[inline(always)]
-    pub fn block(&self, j: usize, k: usize, first: usize) -> [Vec4; BLOCK] {
+    fn block(&self, j: usize, k: usize, first: usize) -> [Vec4; BLOCK] {
         let codes = eight(self.scanlines.row(j, k), first);
         let (mut factor, mut addend, mut density) = ([1.0; BLOCK], [0.0; BLOCK], [1.0; BLOCK]);
-        if self.is_lit() {
-            let normals = self.normals(j, k, first);
-            for n in 0..BLOCK {
-                [factor[n], addend[n]] = self.shades[usize::from(normals[n])];
+        match self.light {
+            VoxelLight::Off => {}
+            VoxelLight::ByNormal(shades) => {
+                let normals = self.normals(j, k, first);
+                for n in 0..BLOCK {
+                    [factor[n], addend[n]] = shades[usize::from(normals[n])];
+                }
+            }
+            VoxelLight::ByRay(light) => {
+                [factor, addend] = light.of_gradients(&self.gradients(j, k, first), [first, j, k]);
             }
         }
         if self.has_gradient_opacity() {
@@ -93,6 +112,17 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// [`quantized_normals`](crate::volume::gradient::quantized_normals).
     #[inline(always)]
     pub fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
+        let along = self.gradients(j, k, first);
+        let mut normals = [0; BLOCK];
+        for n in 0..BLOCK {
+            normals[n] = encode_normal(along[0][n], along[1][n], along[2][n]);
+        }
+        normals
+    }
+
+    /// Gradients of eight voxels in the frame of the volume's normals.
+    #[inline(always)]
+    fn gradients(&self, j: usize, k: usize, first: usize) -> [[f32; BLOCK]; 3] {
         let [_, nj, nk] = self.dims;
         let row = self.scanlines.row(j, k);
         let neighbour = |j: usize, k: usize| eight(self.scanlines.row(j, k), first);
@@ -111,11 +141,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             along[axis] = differences[n];
         }
         turn(&mut along, self.frame.frame_from_differences, self.frame.diagonal);
-        let mut normals = [0; BLOCK];
-        for n in 0..BLOCK {
-            normals[n] = encode_normal(along[0][n], along[1][n], along[2][n]);
-        }
-        normals
+        along
     }
 
     /// Codes of eight voxels, the scanline's last one repeated past its end.
@@ -150,6 +176,62 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         }
         let magnitude = gradient_at(self.volume, &self.frame, index).length();
         (transfer.gradient_factor(magnitude) * 255.0).round() as u8
+    }
+}
+
+/// Voxels of whatever type as samples.
+pub trait Blocks: Debug + Send + Sync {
+    /// Voxels along i, j, k.
+    fn dims(&self) -> [usize; 3];
+
+    /// True where samples have light.
+    fn is_lit(&self) -> bool;
+
+    /// The sample at voxel (i, j, k); past the scanline's end that of its last voxel.
+    fn sample(&self, at: [usize; 3]) -> Vec4;
+
+    /// Reads those blocks of scanline `j` of slice `k` that `row`, which is for that scanline, lacks.
+    fn fetch(&self, row: &mut Row, j: usize, k: usize, blocks: RangeInclusive<usize>);
+}
+
+impl<T: Code + Debug> Blocks for VoxelRows<'_, T> {
+    fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    fn is_lit(&self) -> bool {
+        !matches!(self.light, VoxelLight::Off)
+    }
+
+    fn sample(&self, [i, j, k]: [usize; 3]) -> Vec4 {
+        self.block(j, k, i)[0]
+    }
+
+    fn fetch(&self, row: &mut Row, j: usize, k: usize, blocks: RangeInclusive<usize>) {
+        simd::dispatch(Fetch { voxels: self, row, j, k, blocks });
+    }
+}
+
+/// What [`Blocks::fetch`] does.
+struct Fetch<'a, 'b, T> {
+    voxels: &'a VoxelRows<'b, T>,
+    row: &'a mut Row,
+    j: usize,
+    k: usize,
+    blocks: RangeInclusive<usize>,
+}
+
+impl<T: Code> Kernel for Fetch<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { voxels, row, j, k, blocks } = self;
+        for block in blocks {
+            if !std::mem::replace(&mut row.fetched[block], true) {
+                row.set(block, &voxels.block(j, k, block * BLOCK), voxels.dims[0]);
+            }
+        }
     }
 }
 
@@ -203,67 +285,69 @@ fn around<T: Code>(row: &[T], first: usize) -> ([f32; BLOCK], [f32; BLOCK]) {
 
 /// Where a slice of samples lies: on a slice of voxels or between two.
 #[derive(Clone, Copy, Debug)]
-pub struct Position {
-    pub placement: SlicePlacement,
+pub struct Position<P> {
+    pub placement: P,
     /// Slice of voxels at or before it, in the order of the walk.
     pub near: usize,
     /// The slice after it and how far towards it, 0..1; `None` on a slice of voxels.
     pub far: Option<(usize, f32)>,
 }
 
-impl Position {
-    /// The samples of step `n`, where `steps` lead from a slice of voxels to the next.
-    pub fn new(factorization: &Factorization, n: usize, steps: usize) -> Self {
-        let last = factorization.dims[2] - 1;
-        let stored = |slice: usize| if factorization.reversed { last - slice } else { slice };
-        let (slice, part) = (n / steps, n % steps);
-        let fraction = part as f64 / steps as f64;
+impl<P> Position<P> {
+    /// The samples at a position along the rays, counted in slices from the front one.
+    pub fn new<L: Lattice<Placement = P>>(factorization: &Factorization, position: f64) -> Self {
+        let stored = |slice: f64| factorization.along(slice) as usize;
+        let (slice, fraction) = (position.floor(), position.fract());
         Self {
-            placement: factorization.placement(along(factorization, n as f64, steps)),
+            placement: L::placement(factorization, factorization.along(position)),
             near: stored(slice),
-            far: (part > 0).then(|| (stored(slice + 1), fraction as f32)),
+            far: (fraction > 0.0).then(|| (stored(slice + 1.0), fraction as f32)),
         }
     }
 }
 
-/// The position along k of step `n`, where `steps` lead from a slice of voxels to the next.
-pub fn along(factorization: &Factorization, n: f64, steps: usize) -> f64 {
-    let at = n / steps as f64;
-    if factorization.reversed { (factorization.dims[2] - 1) as f64 - at } else { at }
-}
-
 /// A voxel scanline as samples. Voxel i is at i + 1: the scanline's ends are repeated once.
 #[derive(Debug)]
-struct Row {
-    j: Option<usize>,
-    voxels: Vec<Vec4>,
+pub struct Row {
+    pub j: Option<usize>,
+    pub voxels: Vec<Vec4>,
     /// Blocks that are there.
     fetched: Vec<bool>,
 }
 
 impl Row {
-    fn new(length: usize) -> Self {
+    /// For scanlines of `length` voxels.
+    pub fn new(length: usize) -> Self {
         let blocks = length.div_ceil(BLOCK);
         Self { j: None, voxels: vec![Vec4::ZERO; blocks * BLOCK + 2], fetched: vec![false; blocks] }
     }
 
+    /// Becomes scanline `j`, nothing of which is there yet.
+    #[inline(always)]
+    pub fn enter(&mut self, j: usize) {
+        self.j = Some(j);
+        self.fetched.fill(false);
+    }
+
     /// Reads voxels `first..=last` of scanline `j` of slice `k`, which the row is for.
     #[inline(always)]
-    fn fetch<T: Code>(&mut self, rows: &VoxelRows<'_, T>, j: usize, k: usize, first: usize, last: usize) {
-        for block in first / BLOCK..=last / BLOCK {
-            if !self.fetched[block] {
-                self.fetched[block] = true;
-                let at = block * BLOCK;
-                let samples = rows.block(j, k, at);
-                self.voxels[at + 1..][..BLOCK].copy_from_slice(&samples);
-                if block == 0 {
-                    self.voxels[0] = samples[0];
-                }
-                let end = rows.dims[0];
-                if at + BLOCK >= end {
-                    self.voxels[end + 1] = self.voxels[end];
-                }
-            }
+    pub fn fetch(&mut self, voxels: &dyn Blocks, j: usize, k: usize, first: usize, last: usize) {
+        let (first, last) = (first / BLOCK, last / BLOCK);
+        if let Some(missing) = self.fetched[first..=last].iter().position(|there| !there) {
+            voxels.fetch(self, j, k, first + missing..=last);
+        }
+    }
+
+    /// Takes the samples of a block of a scanline of `length` voxels.
+    #[inline(always)]
+    fn set(&mut self, block: usize, samples: &[Vec4; BLOCK], length: usize) {
+        let at = block * BLOCK;
+        self.voxels[at + 1..][..BLOCK].copy_from_slice(samples);
+        if block == 0 {
+            self.voxels[0] = samples[0];
+        }
+        if at + BLOCK >= length {
+            self.voxels[length + 1] = self.voxels[length];
         }
     }
 }
@@ -304,8 +388,7 @@ impl RowPair {
 
     #[inline(always)]
     fn replace(&mut self, at: usize, j: usize) -> usize {
-        self.rows[at].j = Some(j);
-        self.rows[at].fetched.fill(false);
+        self.rows[at].enter(j);
         at
     }
 }
@@ -326,17 +409,17 @@ impl SampleRows {
     /// Samples the pixels of `mask`, which lie on the slice or less than a pixel beside it, on scanline `v`.
     /// Pixel u goes to `out[u - base]`.
     #[inline(always)]
-    pub fn sample<T: Code, S: Slabs>(
+    pub fn sample<S: Slabs>(
         &mut self,
-        voxels: &VoxelRows<'_, T>,
+        voxels: &dyn Blocks,
         table: S,
-        position: &Position,
+        position: &Position<SlicePlacement>,
         v: usize,
         mask: &Mask,
         (out, base): (&mut [Vec4], isize),
     ) {
         let SlicePlacement { first, fraction } = position.placement;
-        let last = voxels.dims.map(|n| n - 1);
+        let last = voxels.dims().map(|n| n - 1);
         // From -1: slices are continued by their borders.
         let upper = (v + 1).saturating_sub(first[1] + 1).min(last[1]);
         let lower = (v + 1 - first[1]).min(last[1]);
