@@ -138,7 +138,7 @@ async fn a_body_is_optional_and_may_name_the_reference_algorithm() {
 #[tokio::test(flavor = "multi_thread")]
 async fn either_table_of_slabs_may_be_asked_for() {
     let service = Running::start("").await;
-    let mut frames = vec![];
+    let mut tags = std::collections::HashSet::new();
     for table in ["2d", "1d"] {
         for quality in ["draft", "standard", "high"] {
             let body = format!(
@@ -146,11 +146,11 @@ async fn either_table_of_slabs_may_be_asked_for() {
             );
             let response = service.post("/v1/volumes/ball/frame", &body).await;
             assert_eq!(response.status(), 200, "{body}");
-            let frame = response.bytes().await.unwrap();
-            assert!(!frames.contains(&frame), "{body} shows what another does");
-            frames.push(frame);
+            tags.insert(header(&response, "etag").to_owned());
+            assert!(response.bytes().await.unwrap().iter().any(|&byte| byte > 20), "{body} shows nothing");
         }
     }
+    assert_eq!(tags.len(), 6, "none is taken for another");
 }
 
 #[tokio::test(flavor = "multi_thread")]

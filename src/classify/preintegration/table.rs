@@ -25,7 +25,8 @@ pub struct SlabTable {
     /// By `front * stride + back`; the last row and the last column are there twice, so that what
     /// lies on the last entry, or a hair beyond, can be read as if it lay before another.
     slabs: Vec<Vec4>,
-    stride: usize,
+    /// As narrow as it is, so that no index overflows.
+    stride: u32,
     length: f32,
 }
 
@@ -47,7 +48,7 @@ impl SlabTable {
                 };
             }
         });
-        Self { axis, slabs: table, stride, length }
+        Self { axis, slabs: table, stride: stride as u32, length }
     }
 
     /// Scalar codes -> positions on the table's axis.
@@ -69,18 +70,21 @@ impl SlabTable {
     /// The entry nearest to two positions on the axis.
     #[inline(always)]
     pub fn nearest(&self, front: f32, back: f32) -> Vec4 {
-        self.slabs.get(nearest(front) * self.stride + nearest(back)).copied().unwrap_or_default()
+        self.slabs.get(nearest(front) * self.stride as usize + nearest(back)).copied().unwrap_or_default()
     }
 
     /// Interpolated between the four entries around two positions on the axis.
     #[inline(always)]
     pub fn bilinear(&self, front: f32, back: f32) -> Vec4 {
         let ((front, wf), (back, wb)) = (split(front), split(back));
-        let at = front * self.stride + back;
+        let near = front * self.stride as usize + back;
+        let far = near + self.stride as usize;
         // Always there: positions are on the axis.
-        let Some(four) = self.slabs.get(at..at + self.stride + 2) else { return Vec4::ZERO };
-        let near = four[0] + (four[1] - four[0]) * wb;
-        let far = four[self.stride] + (four[self.stride + 1] - four[self.stride]) * wb;
+        let (Some(near), Some(far)) = (self.slabs.get(near..near + 2), self.slabs.get(far..far + 2)) else {
+            return Vec4::ZERO;
+        };
+        let near = near[0] + (near[1] - near[0]) * wb;
+        let far = far[0] + (far[1] - far[0]) * wb;
         near + (far - near) * wf
     }
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::footprint::Footprint;
 use super::lattice::{Lattice, Scaled, Unit};
 use super::over;
-use super::samples::{Blocks, Position, lerp};
+use super::samples::{Position, Quads, lerp};
 use super::slabs::SlabComposite;
 use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, Weights};
@@ -96,7 +96,7 @@ fn contains(slice: &SlicePlacement, dims: [usize; 3], pixel: [usize; 2]) -> bool
 /// A lattice's way to sample, told for one pixel.
 pub trait NaiveLattice: Lattice {
     /// The sample at pixel (u, v), slices being continued by their borders.
-    fn pixel(voxels: &dyn Blocks, dims: [usize; 3], position: &Position<Self::Placement>, pixel: [usize; 2]) -> Vec4;
+    fn pixel(voxels: &dyn Quads, dims: [usize; 3], position: &Position<Self::Placement>, pixel: [usize; 2]) -> Vec4;
 
     /// What is resampled at pixel (u, v) of slice `k` of voxels, which `voxel` gives by i and j; `None` where
     /// the pixel does not lie on the slice.
@@ -141,7 +141,7 @@ impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S
 }
 
 impl NaiveLattice for Unit {
-    fn pixel(voxels: &dyn Blocks, dims: [usize; 3], position: &Position<SlicePlacement>, [u, v]: [usize; 2]) -> Vec4 {
+    fn pixel(voxels: &dyn Quads, dims: [usize; 3], position: &Position<SlicePlacement>, [u, v]: [usize; 2]) -> Vec4 {
         let SlicePlacement { first, fraction } = position.placement;
         let clamped = |at: usize, axis: usize| at.saturating_sub(first[axis]).min(dims[axis] - 1);
         let before = |at: usize, axis: usize| clamped(at, axis);
@@ -177,7 +177,7 @@ impl NaiveLattice for Unit {
 }
 
 impl NaiveLattice for Scaled {
-    fn pixel(voxels: &dyn Blocks, _: [usize; 3], position: &Position<[Footprint; 2]>, [u, v]: [usize; 2]) -> Vec4 {
+    fn pixel(voxels: &dyn Quads, _: [usize; 3], position: &Position<[Footprint; 2]>, [u, v]: [usize; 2]) -> Vec4 {
         let on_slice = |k: usize| scaled(position.placement, [u, v], |i, j| voxels.sample([i, j, k]));
         let near = on_slice(position.near);
         position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))

@@ -3,21 +3,22 @@
 //! A sample is what is interpolated between voxels: the scalar, and, where shading asks for it, a factor on
 //! the colour and an addend, where the transfer function asks for it, the gradient opacity. Each is a
 //! component of a [`Vec4`], so that all are resampled at once. (Which of the two light terms a slab
-//! of two samples has is left to it.) Voxels are read, and shaded, in blocks of eight, once for as
-//! long as their scanline is in a row buffer, and only where a pixel asks.
+//! of two samples has is left to it.) Voxels are read, and shaded, four at a time, once for as long as their
+//! scanline is in a row buffer, and only where a pixel asks. Four, because surfaces are a few voxels
+//! thin: of eight most would be shaded in vain.
 //!
 //! Interpolation is `a + (b - a) f`, which between two equal scalars is that scalar: what lies within a
 //! range stays within it, so that slabs over transparent ranges stay exactly zero. First down a
 //! column of two voxels, then along the row, where each column serves two pixels.
 //!
 //! Reading voxels depends on their type and on what lights them, and nothing else of the kernel does. So it is a
-//! job of its own ([`Blocks`]), called for the blocks that a row lacks: the kernel, which has many type
+//! job of its own ([`Quads`]), called for those that a row lacks: the kernel, which has many type
 //! parameters, is not compiled for each type of voxel again.
 
 use std::fmt::Debug;
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
-use glam::{DMat3, Vec3, Vec4};
+use glam::{DMat3, Vec4};
 
 use super::WORD;
 use super::lattice::Lattice;
@@ -26,13 +27,16 @@ use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
 use crate::render::ray_light::RayLight;
-use crate::render::simd::{self, Kernel};
+use crate::render::simd::{self, Kernel, prefetch};
 use crate::volume::Volume;
-use crate::volume::gradient::{Code, GradientFrame, encode_normal, gradient_at};
+use crate::volume::gradient::{Code, GradientFrame, encode_normals, gradient_at};
 use crate::volume::scanlines::Scanlines;
 
-/// Voxels that are read at once.
+/// Voxels that are classified at once.
 pub const BLOCK: usize = 8;
+
+/// Voxels that become samples at once.
+const QUAD: usize = 4;
 
 /// What voxels are lit by.
 #[derive(Clone, Copy, Debug)]
@@ -51,6 +55,8 @@ pub struct VoxelRows<'a, T> {
     volume: &'a Volume,
     /// Voxels along i, j, k.
     dims: [usize; 3],
+    /// Slices are walked from the last to the first.
+    reversed: bool,
     /// The volume's axes that i, j, k stand for.
     permutation: [usize; 3],
     frame: GradientFrame,
@@ -71,6 +77,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             scanlines,
             volume,
             dims: factorization.dims,
+            reversed: factorization.reversed,
             permutation: PERMUTATIONS[factorization.principal_axis],
             frame: GradientFrame::new(volume.placement(), volume.rescale().0),
             light,
@@ -78,22 +85,47 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         }
     }
 
-    /// Samples at eight voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
+    /// Scanline `j` of slice `k` and those around it.
+    #[inline(always)]
+    fn around(&self, j: usize, k: usize) -> Around<'a, T> {
+        let [_, nj, nk] = self.dims;
+        // No closure: that would not be inlined.
+        Around {
+            here: self.scanlines.row(j, k),
+            along_j: [self.scanlines.row(j.saturating_sub(1), k), self.scanlines.row((j + 1).min(nj - 1), k)],
+            along_k: [self.scanlines.row(j, k.saturating_sub(1)), self.scanlines.row(j, (k + 1).min(nk - 1))],
+        }
+    }
+
+    /// Asks for the voxels that the walk will need next: those two slices on. The slice between was needed for
+    /// gradients already.
+    #[inline(always)]
+    fn prefetch(&self, j: usize, k: usize, voxels: Range<usize>) {
+        let next = if self.reversed { k.checked_sub(2) } else { Some(k + 2).filter(|&k| k < self.dims[2]) };
+        if let Some(next) = next
+            && let Some(voxels) = self.scanlines.row(j, next).get(voxels)
+        {
+            prefetch(voxels);
+        }
+    }
+
+    /// Samples at four voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
     /// its last voxel is repeated.
     #[inline(always)]
-    fn block(&self, j: usize, k: usize, first: usize) -> [Vec4; BLOCK] {
-        let codes = eight(self.scanlines.row(j, k), first);
-        let (mut factor, mut addend, mut density) = ([1.0; BLOCK], [0.0; BLOCK], [1.0; BLOCK]);
+    fn quad(&self, rows: &Around<'a, T>, [first, j, k]: [usize; 3]) -> [Vec4; QUAD] {
+        let codes = four(rows.here, first).to_array();
+        let (mut factor, mut addend, mut density) = ([1.0; QUAD], [0.0; QUAD], [1.0; QUAD]);
         match self.light {
             VoxelLight::Off => {}
             VoxelLight::ByNormal(shades) => {
-                let normals = self.normals(j, k, first);
-                for n in 0..BLOCK {
-                    [factor[n], addend[n]] = shades[usize::from(normals[n])];
+                let [x, y, z] = self.gradients(rows, first);
+                for (n, normal) in encode_normals(x, y, z).into_iter().enumerate() {
+                    [factor[n], addend[n]] = shades[usize::from(normal)];
                 }
             }
             VoxelLight::ByRay(light) => {
-                [factor, addend] = light.of_gradients(&self.gradients(j, k, first), [first, j, k]);
+                let gradients = self.gradients(rows, first).map(|along| along.to_array());
+                [factor, addend] = light.of_gradients(&gradients, [first, j, k]);
             }
         }
         if self.has_gradient_opacity() {
@@ -101,8 +133,8 @@ impl<'a, T: Code> VoxelRows<'a, T> {
                 *density = f32::from(self.gradient_factor([first + n, j, k])) / 255.0;
             }
         }
-        let mut samples = [Vec4::ZERO; BLOCK];
-        for n in 0..BLOCK {
+        let mut samples = [Vec4::ZERO; QUAD];
+        for n in 0..QUAD {
             samples[n] = Vec4::new(codes[n], factor[n], addend[n], density[n]);
         }
         samples
@@ -112,36 +144,26 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// [`quantized_normals`](crate::volume::gradient::quantized_normals).
     #[inline(always)]
     pub fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
-        let along = self.gradients(j, k, first);
+        let rows = self.around(j, k);
         let mut normals = [0; BLOCK];
-        for n in 0..BLOCK {
-            normals[n] = encode_normal(along[0][n], along[1][n], along[2][n]);
+        for (quad, normals) in normals.chunks_exact_mut(QUAD).enumerate() {
+            let [x, y, z] = self.gradients(&rows, first + quad * QUAD);
+            normals.copy_from_slice(&encode_normals(x, y, z));
         }
         normals
     }
 
-    /// Gradients of eight voxels in the frame of the volume's normals.
+    /// Gradients of four voxels in the frame of the volume's normals.
     #[inline(always)]
-    fn gradients(&self, j: usize, k: usize, first: usize) -> [[f32; BLOCK]; 3] {
-        let [_, nj, nk] = self.dims;
-        let row = self.scanlines.row(j, k);
-        let neighbour = |j: usize, k: usize| eight(self.scanlines.row(j, k), first);
-        let (before_j, after_j) = (neighbour(j.saturating_sub(1), k), neighbour((j + 1).min(nj - 1), k));
-        let (before_k, after_k) = (neighbour(j, k.saturating_sub(1)), neighbour(j, (k + 1).min(nk - 1)));
-        let (before_i, after_i) = around(row, first);
-        let mut differences = [[0.0; BLOCK]; 3];
-        for n in 0..BLOCK {
-            differences[0][n] = after_i[n] - before_i[n];
-            differences[1][n] = after_j[n] - before_j[n];
-            differences[2][n] = after_k[n] - before_k[n];
-        }
+    fn gradients(&self, rows: &Around<'a, T>, first: usize) -> [Vec4; 3] {
+        let (before_i, after_i) = before_and_after(rows.here, first);
         // In the volume's own order, so that sums round as they do there.
-        let mut along = [[0.0; BLOCK]; 3];
-        for (n, axis) in self.permutation.into_iter().enumerate() {
-            along[axis] = differences[n];
-        }
-        turn(&mut along, self.frame.frame_from_differences, self.frame.diagonal);
-        along
+        let mut along = [Vec4::ZERO; 3];
+        let [i, j, k] = self.permutation;
+        along[i] = after_i - before_i;
+        along[j] = four(rows.along_j[1], first) - four(rows.along_j[0], first);
+        along[k] = four(rows.along_k[1], first) - four(rows.along_k[0], first);
+        turn(along, self.frame.frame_from_differences, self.frame.diagonal)
     }
 
     /// Codes of eight voxels, the scanline's last one repeated past its end.
@@ -179,8 +201,15 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     }
 }
 
+/// A scanline and its neighbours before and after it; at the volume's border itself.
+struct Around<'a, T> {
+    here: &'a [T],
+    along_j: [&'a [T]; 2],
+    along_k: [&'a [T]; 2],
+}
+
 /// Voxels of whatever type as samples.
-pub trait Blocks: Debug + Send + Sync {
+pub trait Quads: Debug + Send + Sync {
     /// Voxels along i, j, k.
     fn dims(&self) -> [usize; 3];
 
@@ -190,11 +219,11 @@ pub trait Blocks: Debug + Send + Sync {
     /// The sample at voxel (i, j, k); past the scanline's end that of its last voxel.
     fn sample(&self, at: [usize; 3]) -> Vec4;
 
-    /// Reads those blocks of scanline `j` of slice `k` that `row`, which is for that scanline, lacks.
-    fn fetch(&self, row: &mut Row, j: usize, k: usize, blocks: RangeInclusive<usize>);
+    /// Reads those quads of scanline `j` of slice `k` that `row`, which is for that scanline, lacks.
+    fn fetch(&self, row: &mut Row, j: usize, k: usize, quads: RangeInclusive<usize>);
 }
 
-impl<T: Code + Debug> Blocks for VoxelRows<'_, T> {
+impl<T: Code + Debug> Quads for VoxelRows<'_, T> {
     fn dims(&self) -> [usize; 3] {
         self.dims
     }
@@ -204,21 +233,21 @@ impl<T: Code + Debug> Blocks for VoxelRows<'_, T> {
     }
 
     fn sample(&self, [i, j, k]: [usize; 3]) -> Vec4 {
-        self.block(j, k, i)[0]
+        self.quad(&self.around(j, k), [i, j, k])[0]
     }
 
-    fn fetch(&self, row: &mut Row, j: usize, k: usize, blocks: RangeInclusive<usize>) {
-        simd::dispatch(Fetch { voxels: self, row, j, k, blocks });
+    fn fetch(&self, row: &mut Row, j: usize, k: usize, quads: RangeInclusive<usize>) {
+        simd::dispatch(Fetch { voxels: self, row, j, k, quads });
     }
 }
 
-/// What [`Blocks::fetch`] does.
+/// What [`Quads::fetch`] does.
 struct Fetch<'a, 'b, T> {
     voxels: &'a VoxelRows<'b, T>,
     row: &'a mut Row,
     j: usize,
     k: usize,
-    blocks: RangeInclusive<usize>,
+    quads: RangeInclusive<usize>,
 }
 
 impl<T: Code> Kernel for Fetch<'_, '_, T> {
@@ -226,10 +255,12 @@ impl<T: Code> Kernel for Fetch<'_, '_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { voxels, row, j, k, blocks } = self;
-        for block in blocks {
-            if !std::mem::replace(&mut row.fetched[block], true) {
-                row.set(block, &voxels.block(j, k, block * BLOCK), voxels.dims[0]);
+        let Self { voxels, row, j, k, quads } = self;
+        voxels.prefetch(j, k, quads.start() * QUAD..(quads.end() + 1) * QUAD);
+        let rows = voxels.around(j, k);
+        for quad in quads {
+            if !std::mem::replace(&mut row.fetched[quad], true) {
+                row.set(quad, &voxels.quad(&rows, [quad * QUAD, j, k]), voxels.dims[0]);
             }
         }
     }
@@ -237,50 +268,43 @@ impl<T: Code> Kernel for Fetch<'_, '_, T> {
 
 /// Differences of codes -> components of the gradient in the frame.
 #[inline(always)]
-fn turn(along: &mut [[f32; BLOCK]; 3], frame_from_differences: DMat3, diagonal: bool) {
+fn turn([x, y, z]: [Vec4; 3], frame_from_differences: DMat3, diagonal: bool) -> [Vec4; 3] {
     let m = frame_from_differences.as_mat3();
-    let [x, y, z] = along;
     if diagonal {
-        for n in 0..BLOCK {
-            x[n] *= m.x_axis.x;
-            y[n] *= m.y_axis.y;
-            z[n] *= m.z_axis.z;
-        }
-    } else {
-        for n in 0..BLOCK {
-            [x[n], y[n], z[n]] = (m * Vec3::new(x[n], y[n], z[n])).to_array();
-        }
+        return [x * m.x_axis.x, y * m.y_axis.y, z * m.z_axis.z];
     }
+    [
+        x * m.x_axis.x + y * m.y_axis.x + z * m.z_axis.x,
+        x * m.x_axis.y + y * m.y_axis.y + z * m.z_axis.y,
+        x * m.x_axis.z + y * m.y_axis.z + z * m.z_axis.z,
+    ]
 }
 
-/// Eight codes from `first` on, the last one repeated.
+/// Four codes from `first` on, the last one repeated.
 #[inline(always)]
-fn eight<T: Code>(row: &[T], first: usize) -> [f32; BLOCK] {
-    let mut codes = [0.0; BLOCK];
-    if let Some(whole) = row.get(first..first + BLOCK) {
-        for n in 0..BLOCK {
-            codes[n] = whole[n].as_f32();
-        }
-    } else {
-        for (n, code) in codes.iter_mut().enumerate() {
-            *code = row[(first + n).min(row.len() - 1)].as_f32();
-        }
-    }
-    codes
+fn four<T: Code>(row: &[T], first: usize) -> Vec4 {
+    let [a, b, c, d] = match row.get(first..).and_then(<[T]>::first_chunk) {
+        Some(four) => *four,
+        None => at_the_end(row, first),
+    };
+    Vec4::new(a.as_f32(), b.as_f32(), c.as_f32(), d.as_f32())
 }
 
-/// The codes before and after each of eight, indices clamped at the scanline's ends.
+/// The same where fewer than four are left. On its own, so that the usual four are loaded as one.
+#[cold]
+#[inline(never)]
+fn at_the_end<T: Code>(row: &[T], first: usize) -> [T; QUAD] {
+    [0, 1, 2, 3].map(|n| row[(first + n).min(row.len() - 1)])
+}
+
+/// The codes before and after each of four, indices clamped at the scanline's ends.
 #[inline(always)]
-fn around<T: Code>(row: &[T], first: usize) -> ([f32; BLOCK], [f32; BLOCK]) {
-    if first > 0 && first + BLOCK < row.len() {
-        return (eight(row, first - 1), eight(row, first + 1));
+fn before_and_after<T: Code>(row: &[T], first: usize) -> (Vec4, Vec4) {
+    if first > 0 {
+        return (four(row, first - 1), four(row, first + 1));
     }
-    let (mut before, mut after) = ([0.0; BLOCK], [0.0; BLOCK]);
-    for n in 0..BLOCK {
-        before[n] = row[(first + n).saturating_sub(1).min(row.len() - 1)].as_f32();
-        after[n] = row[(first + n + 1).min(row.len() - 1)].as_f32();
-    }
-    (before, after)
+    let [a, b, c, _] = four(row, 0).to_array();
+    (Vec4::new(a, a, b, c), four(row, 1))
 }
 
 /// Where a slice of samples lies: on a slice of voxels or between two.
@@ -311,15 +335,15 @@ impl<P> Position<P> {
 pub struct Row {
     pub j: Option<usize>,
     pub voxels: Vec<Vec4>,
-    /// Blocks that are there.
+    /// Quads that are there.
     fetched: Vec<bool>,
 }
 
 impl Row {
     /// For scanlines of `length` voxels.
     pub fn new(length: usize) -> Self {
-        let blocks = length.div_ceil(BLOCK);
-        Self { j: None, voxels: vec![Vec4::ZERO; blocks * BLOCK + 2], fetched: vec![false; blocks] }
+        let quads = length.div_ceil(QUAD);
+        Self { j: None, voxels: vec![Vec4::ZERO; quads * QUAD + 2], fetched: vec![false; quads] }
     }
 
     /// Becomes scanline `j`, nothing of which is there yet.
@@ -331,22 +355,22 @@ impl Row {
 
     /// Reads voxels `first..=last` of scanline `j` of slice `k`, which the row is for.
     #[inline(always)]
-    pub fn fetch(&mut self, voxels: &dyn Blocks, j: usize, k: usize, first: usize, last: usize) {
-        let (first, last) = (first / BLOCK, last / BLOCK);
+    pub fn fetch(&mut self, voxels: &dyn Quads, j: usize, k: usize, first: usize, last: usize) {
+        let (first, last) = (first / QUAD, last / QUAD);
         if let Some(missing) = self.fetched[first..=last].iter().position(|there| !there) {
             voxels.fetch(self, j, k, first + missing..=last);
         }
     }
 
-    /// Takes the samples of a block of a scanline of `length` voxels.
+    /// Takes the samples of a quad of a scanline of `length` voxels.
     #[inline(always)]
-    fn set(&mut self, block: usize, samples: &[Vec4; BLOCK], length: usize) {
-        let at = block * BLOCK;
-        self.voxels[at + 1..][..BLOCK].copy_from_slice(samples);
-        if block == 0 {
+    fn set(&mut self, quad: usize, samples: &[Vec4; QUAD], length: usize) {
+        let at = quad * QUAD;
+        self.voxels[at + 1..][..QUAD].copy_from_slice(samples);
+        if quad == 0 {
             self.voxels[0] = samples[0];
         }
-        if at + BLOCK >= length {
+        if at + QUAD >= length {
             self.voxels[length + 1] = self.voxels[length];
         }
     }
@@ -411,7 +435,7 @@ impl SampleRows {
     #[inline(always)]
     pub fn sample<S: Slabs>(
         &mut self,
-        voxels: &dyn Blocks,
+        voxels: &dyn Quads,
         table: S,
         position: &Position<SlicePlacement>,
         v: usize,

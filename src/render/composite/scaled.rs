@@ -12,7 +12,7 @@ use glam::Vec4;
 use super::WORD;
 use super::footprint::Footprint;
 use super::mask::{Mask, Runs};
-use super::samples::{Blocks, Position, Row, lerp};
+use super::samples::{Position, Quads, Row, lerp};
 use crate::classify::preintegration::Slabs;
 
 /// First voxels and weights of a slice's pixels along u.
@@ -109,7 +109,7 @@ impl Ring {
 
     /// Adds up voxels `us` of the scanlines from `first` on, `weights` of each.
     #[inline(always)]
-    fn add_up(&mut self, voxels: &dyn Blocks, first: usize, weights: &[f32], hull: &Range<usize>, sum: &mut [Vec4]) {
+    fn add_up(&mut self, voxels: &dyn Quads, first: usize, weights: &[f32], hull: &Range<usize>, sum: &mut [Vec4]) {
         let mut empty = true;
         for (j, &weight) in (first..).zip(weights).filter(|(_, weight)| **weight > 0.0) {
             let place = j % self.rows.len();
@@ -154,7 +154,7 @@ impl ScaledRows {
     #[inline(always)]
     pub fn sample<S: Slabs>(
         &mut self,
-        voxels: &dyn Blocks,
+        voxels: &dyn Quads,
         table: S,
         position: &Position<[Footprint; 2]>,
         (us, v): (&Range<usize>, usize),

@@ -26,7 +26,7 @@ use super::cue::{Cue, ScanlineCue, SliceCue};
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use super::occupied::Occupied;
-use super::samples::{Blocks, Position};
+use super::samples::{Position, Quads};
 use super::{CANCEL_STEP, Composite, clear_bits, over};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::Factorization;
@@ -39,7 +39,7 @@ use crate::render::{BufferSlice, Cancel, RenderError};
 pub struct SlabComposite<'a, L, S, C> {
     pub lattice: L,
     pub factorization: &'a Factorization,
-    pub voxels: &'a dyn Blocks,
+    pub voxels: &'a dyn Quads,
     pub occupied: Occupied<'a>,
     pub table: S,
     pub correction: C,
@@ -60,6 +60,8 @@ pub struct Scratch<R> {
     back: R,
     /// Lengths of the pixels' rays, in units of the view's; none where they have all the same.
     lengths: Vec<f32>,
+    /// Those over which a slab is inside the volume.
+    inside: Mask,
     pixels: Mask,
     fresh: Mask,
     kept: Vec<Kept>,
@@ -101,6 +103,7 @@ impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, 
             front: L::rows(self.factorization),
             back: L::rows(self.factorization),
             lengths: vec![],
+            inside: Mask::new(width),
             pixels: Mask::new(width),
             fresh: Mask::new(width),
             kept: vec![Kept { slab: 0, pixels: Mask::new(width) }; height],
@@ -157,13 +160,15 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     #[inline(always)]
     fn slab(&self, band: &mut Band<'_>, slab: &Slab<'_, L::Placement>, scratch: &mut Scratch<L::Rows>) {
         let rows = band.first..band.first + band.height();
+        scratch.inside.clear();
+        scratch.inside.add(slab.pixels.clone());
         for v in slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end) {
             let row = v - band.first;
             let mut scanline = band.scanline(row);
-            if !self.find(slab, v, &scanline, &mut scratch.pixels) {
+            let Scratch { front, back, lengths, inside, pixels, fresh, kept, buffer } = &mut *scratch;
+            if !self.find(slab, v, &scanline, inside, pixels) {
                 continue;
             }
-            let Scratch { front, back, lengths, pixels, fresh, kept, buffer } = &mut *scratch;
             let kept = &mut kept[row];
             let samples = buffer.row(row, [&slab.front, &slab.back].map(|p| L::buffer_base(&p.placement)));
             let missing = if kept.slab + 1 == slab.number {
@@ -188,17 +193,19 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
 
     /// Finds the pixels of scanline `v` to work on; false where there is none.
     #[inline(always)]
-    fn find(&self, slab: &Slab<'_, L::Placement>, v: usize, scanline: &ScanlineMut<'_>, pixels: &mut Mask) -> bool {
-        pixels.clear();
-        L::mark(
-            self.factorization,
-            &self.occupied,
-            slab.layer,
-            [&slab.front.placement, &slab.back.placement],
-            v,
-            pixels,
-        );
-        let any = pixels.keep(scanline.non_opaque, &slab.pixels);
+    fn find(
+        &self,
+        slab: &Slab<'_, L::Placement>,
+        v: usize,
+        scanline: &ScanlineMut<'_>,
+        inside: &Mask,
+        pixels: &mut Mask,
+    ) -> bool {
+        let ends = [&slab.front.placement, &slab.back.placement];
+        if !L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels) {
+            return false;
+        }
+        let any = pixels.keep_within(scanline.non_opaque, inside);
         if any && self.factorization.is_clipped() {
             return pixels.keep(scanline.non_opaque, &self.factorization.visible_pixels(v, slab.middle));
         }

@@ -7,7 +7,7 @@ use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, S
 use crate::render::composite::lattice::{self, Unit};
 use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::Occupied;
-use crate::render::composite::samples::{Blocks, VoxelLight, VoxelRows};
+use crate::render::composite::samples::{Quads, VoxelLight, VoxelRows};
 use crate::render::composite::slabs::SlabComposite;
 use crate::render::intermediate::IntermediateImage;
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
@@ -79,7 +79,7 @@ impl Pass<'_> {
     ) -> Result<Begun, RenderError> {
         let Self { scene, factorization, settings, .. } = *self;
         let (eight, sixteen);
-        let voxels: &dyn Blocks = match scene.prepared.scanlines(factorization.principal_axis) {
+        let voxels: &dyn Quads = match scene.prepared.scanlines(factorization.principal_axis) {
             AnyScanlines::U8(scanlines) => {
                 eight = self.voxel_rows(scanlines);
                 &eight
