@@ -126,7 +126,6 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             let v = band.first + row;
             let j = v - placement.first[1];
             if has_ahead {
-                self.source.prefetch(j, ahead);
                 self.source.prefetch_place(j, farther);
             }
             let upper = match below {
@@ -151,6 +150,9 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             }
             if spans.is_empty() {
                 continue;
+            }
+            if has_ahead {
+                self.source.prefetch(j, ahead);
             }
             rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
             let cue = cue.map(|cue| cue.scanline(v));
