@@ -123,9 +123,11 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     fn gradients(&self, j: usize, k: usize, first: usize) -> [[f32; BLOCK]; 3] {
         let [_, nj, nk] = self.dims;
         let row = self.scanlines.row(j, k);
-        let neighbour = |j: usize, k: usize| eight(self.scanlines.row(j, k), first);
-        let (before_j, after_j) = (neighbour(j.saturating_sub(1), k), neighbour((j + 1).min(nj - 1), k));
-        let (before_k, after_k) = (neighbour(j, k.saturating_sub(1)), neighbour(j, (k + 1).min(nk - 1)));
+        // Not a closure: that would not be inlined.
+        let before_j = eight(self.scanlines.row(j.saturating_sub(1), k), first);
+        let after_j = eight(self.scanlines.row((j + 1).min(nj - 1), k), first);
+        let before_k = eight(self.scanlines.row(j, k.saturating_sub(1)), first);
+        let after_k = eight(self.scanlines.row(j, (k + 1).min(nk - 1)), first);
         let (before_i, after_i) = around(row, first);
         let mut differences = [[0.0; BLOCK]; 3];
         for n in 0..BLOCK {
@@ -140,6 +142,12 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         }
         turn(&mut along, self.frame.frame_from_differences, self.frame.diagonal);
         along
+    }
+
+    /// Codes of scanline `j` of slice `k`.
+    #[inline(always)]
+    pub fn row(&self, j: usize, k: usize) -> &'a [T] {
+        self.scanlines.row(j, k)
     }
 
     /// Codes of eight voxels, the scanline's last one repeated past its end.
