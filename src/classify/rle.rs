@@ -118,6 +118,13 @@ pub struct AxisEncoding<'a> {
 }
 
 impl<'a> AxisEncoding<'a> {
+    /// What [`Self::scanline`] looks up first.
+    #[inline(always)]
+    pub fn place(&self, j: usize, k: usize) -> &'a [[u32; 2]] {
+        let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
+        self.planes.get(plane).and_then(|plane| plane.rows.get(row..row + 1)).unwrap_or_default()
+    }
+
     /// Scanline `j` of slice `k`.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {

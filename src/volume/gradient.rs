@@ -18,7 +18,7 @@
 
 use std::sync::LazyLock;
 
-use glam::{DMat3, DVec3, Vec3, Vec4};
+use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{Placement, Scalars, Volume};
@@ -164,22 +164,6 @@ pub fn encode_normal(x: f32, y: f32, z: f32) -> u16 {
     if length > 0.0 { code as u16 } else { NO_NORMAL }
 }
 
-/// The codes of four normals: those of [`encode_normal`].
-#[inline(always)]
-pub fn encode_normals(x: Vec4, y: Vec4, z: Vec4) -> [u16; 4] {
-    // Codes are whole numbers that a float tells exactly, so they can be put together as floats.
-    const HALF: Vec4 = Vec4::splat((NORMAL_STEPS - 1) as f32 / 2.0);
-    const TO_INTEGER: Vec4 = Vec4::splat(8_388_608.0);
-    let length = x.abs() + y.abs() + z.abs();
-    let some = length.cmpgt(Vec4::ZERO);
-    let scale = Vec4::ONE.copysign(z) / Vec4::select(some, length, Vec4::ONE);
-    let (px, py) = (x * scale, y * scale);
-    let u = ((px + py) * HALF + HALF + TO_INTEGER) - TO_INTEGER;
-    let v = ((px - py) * HALF + HALF + TO_INTEGER) - TO_INTEGER;
-    let code = Vec4::select(some, v * NORMAL_STEPS as f32 + u, Vec4::splat(f32::from(NO_NORMAL)));
-    (code + TO_INTEGER).to_array().map(|code| code.to_bits() as u16)
-}
-
 /// -1..=1 to the nearest of 0..NORMAL_STEPS. Adding 2^23 rounds to an integer and leaves it in the
 /// low mantissa bits, which vectorizes where a saturating cast does not.
 #[inline(always)]
@@ -255,10 +239,6 @@ mod tests {
             let r = (1.0 - z * z).sqrt();
             let normal = Vec3::new(r * angle.cos(), r * angle.sin(), z);
             let code = encode_normal(normal.x * 3.0, normal.y * 3.0, normal.z * 3.0);
-            let four = [1.0, -2.0, 0.0, 3.0].map(|length| normal * length);
-            let codes = [0, 1, 2].map(|axis| Vec4::from_array(four.map(|normal| normal[axis])));
-            let one_by_one = four.map(|normal| encode_normal(normal.x, normal.y, normal.z));
-            assert_eq!(encode_normals(codes[0], codes[1], codes[2]), one_by_one);
             worst = worst.max(1.0 - decode_normal(code).dot(normal).abs());
         }
         let degrees = (1.0 - worst).acos().to_degrees();

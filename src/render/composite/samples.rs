@@ -23,13 +23,14 @@ use glam::{DMat3, Vec4};
 use super::WORD;
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
+use super::sources::StoredNormals;
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
 use crate::render::ray_light::RayLight;
 use crate::render::simd::{self, Kernel, prefetch};
 use crate::volume::Volume;
-use crate::volume::gradient::{Code, GradientFrame, encode_normals, gradient_at};
+use crate::volume::gradient::{Code, GradientFrame, encode_normal, gradient_at};
 use crate::volume::scanlines::Scanlines;
 
 /// Voxels that are classified at once.
@@ -43,7 +44,10 @@ const QUAD: usize = 4;
 pub enum VoxelLight<'a> {
     Off,
     /// Factor and addend by code of the normal.
-    ByNormal(&'a [[f32; 2]]),
+    ByNormal {
+        shades: &'a [[f32; 2]],
+        normals: StoredNormals<'a>,
+    },
     /// Along the ray that each is seen by.
     ByRay(&'a RayLight),
 }
@@ -97,15 +101,18 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         }
     }
 
-    /// Asks for the voxels that the walk will need next: those two slices on. The slice between was needed for
-    /// gradients already.
+    /// Asks for the voxels that the walk will need next: those a slice on, or, where that was needed for
+    /// gradients already, two.
     #[inline(always)]
     fn prefetch(&self, j: usize, k: usize, voxels: Range<usize>) {
-        let next = if self.reversed { k.checked_sub(2) } else { Some(k + 2).filter(|&k| k < self.dims[2]) };
-        if let Some(next) = next
-            && let Some(voxels) = self.scanlines.row(j, next).get(voxels)
-        {
-            prefetch(voxels);
+        let ahead = if matches!(self.light, VoxelLight::ByRay(_)) { 2 } else { 1 };
+        let next = if self.reversed { k.checked_sub(ahead) } else { Some(k + ahead).filter(|&k| k < self.dims[2]) };
+        let Some(next) = next else { return };
+        if let VoxelLight::ByNormal { normals, .. } = self.light {
+            normals.prefetch([voxels.start, j, next], voxels.len());
+        }
+        if let Some(codes) = self.scanlines.row(j, next).get(voxels) {
+            prefetch(codes);
         }
     }
 
@@ -117,10 +124,10 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         let (mut factor, mut addend, mut density) = ([1.0; QUAD], [0.0; QUAD], [1.0; QUAD]);
         match self.light {
             VoxelLight::Off => {}
-            VoxelLight::ByNormal(shades) => {
-                let [x, y, z] = self.gradients(rows, first);
-                for (n, normal) in encode_normals(x, y, z).into_iter().enumerate() {
-                    [factor[n], addend[n]] = shades[usize::from(normal)];
+            VoxelLight::ByNormal { shades, normals } => {
+                let codes = normals.four([first, j, k]);
+                for n in 0..QUAD {
+                    [factor[n], addend[n]] = shades[usize::from(codes[n])];
                 }
             }
             VoxelLight::ByRay(light) => {
@@ -140,17 +147,10 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         samples
     }
 
-    /// Codes of the normals of eight voxels, those of
-    /// [`quantized_normals`](crate::volume::gradient::quantized_normals).
-    #[inline(always)]
-    pub fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
-        let rows = self.around(j, k);
-        let mut normals = [0; BLOCK];
-        for (quad, normals) in normals.chunks_exact_mut(QUAD).enumerate() {
-            let [x, y, z] = self.gradients(&rows, first + quad * QUAD);
-            normals.copy_from_slice(&encode_normals(x, y, z));
-        }
-        normals
+    /// The code of the normal of voxel (i, j, k), from its neighbours: the one that is stored.
+    pub fn normal(&self, [i, j, k]: [usize; 3]) -> u16 {
+        let [x, y, z] = self.gradients(&self.around(j, k), i);
+        encode_normal(x.x, y.x, z.x)
     }
 
     /// Gradients of four voxels in the frame of the volume's normals.
@@ -164,6 +164,12 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         along[j] = four(rows.along_j[1], first) - four(rows.along_j[0], first);
         along[k] = four(rows.along_k[1], first) - four(rows.along_k[0], first);
         turn(along, self.frame.frame_from_differences, self.frame.diagonal)
+    }
+
+    /// Codes of scanline `j` of slice `k`.
+    #[inline(always)]
+    pub fn row(&self, j: usize, k: usize) -> &'a [T] {
+        self.scanlines.row(j, k)
     }
 
     /// Codes of eight voxels, the scanline's last one repeated past its end.

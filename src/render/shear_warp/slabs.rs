@@ -9,6 +9,7 @@ use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::Occupied;
 use crate::render::composite::samples::{Quads, VoxelLight, VoxelRows};
 use crate::render::composite::slabs::SlabComposite;
+use crate::render::composite::sources::StoredNormals;
 use crate::render::intermediate::IntermediateImage;
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
 use crate::render::{Lookup, OpacityCorrection, RenderError, SlabTable};
@@ -107,7 +108,10 @@ impl Pass<'_> {
 
     fn voxel_rows<'a, T: Code>(&'a self, scanlines: Scanlines<'a, T>) -> VoxelRows<'a, T> {
         let light = match (self.table, self.ray_light) {
-            (Some(table), _) => VoxelLight::ByNormal(table.entries()),
+            (Some(table), _) => VoxelLight::ByNormal {
+                shades: table.entries(),
+                normals: StoredNormals::new(self.scene.prepared.normals(), self.factorization),
+            },
             (None, Some(light)) => VoxelLight::ByRay(light),
             (None, None) => VoxelLight::Off,
         };
