@@ -43,4 +43,5 @@ pub mod raycast;
 pub mod render;
 #[cfg(feature = "service")]
 pub mod service;
+mod simd;
 pub mod volume;

@@ -9,7 +9,6 @@ pub mod material;
 pub mod shade;
 mod shear_image;
 mod shear_warp;
-pub mod simd;
 pub mod view;
 pub mod warp;
 
@@ -22,6 +21,7 @@ use rayon::prelude::*;
 
 use crate::classify::{Classification, Encodings, TransferFunction};
 use crate::raycast::raycast;
+use crate::simd;
 use crate::volume::{PreparedVolume, Volume};
 use factorization::Factorization;
 pub use image::Image;

@@ -1,8 +1,8 @@
 //! A volume with the structures that depend on nothing else, built once when it is loaded.
 
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use super::gradient::quantized_normals;
 use super::octree::MinMaxOctree;
 use super::scanlines::{AnyScanlines, Scanlines, turned};
 use super::{Scalars, Volume};
@@ -10,31 +10,35 @@ use super::{Scalars, Volume};
 /// How long the structures took.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PrepareTimings {
-    pub gradients: Duration,
+    /// The second copy of the codes.
+    pub scanlines: Duration,
     pub octree: Duration,
+    /// Ranges of gradient magnitude; zero until a transfer function asks for them.
+    pub gradients: Duration,
 }
 
-/// A volume, its quantized normals and its min-max octree.
+/// A volume, its scanlines for every principal axis and its min-max octree.
 #[derive(Clone, Debug)]
 pub struct PreparedVolume {
     volume: Volume,
     /// The codes with y running fastest.
     turned: Scalars,
-    normals: Vec<u16>,
     octree: MinMaxOctree,
+    /// The octree with ranges of gradient magnitude, and how long those took.
+    gradient_octree: OnceLock<(MinMaxOctree, Duration)>,
     timings: PrepareTimings,
 }
 
 impl PreparedVolume {
     /// Builds the structures on the current rayon pool.
     pub fn build(volume: Volume) -> Self {
-        let turned = turned(&volume);
         let start = Instant::now();
-        let normals = quantized_normals(&volume);
-        let gradients = start.elapsed();
-        let octree = MinMaxOctree::build(&volume);
-        let timings = PrepareTimings { gradients, octree: start.elapsed() - gradients };
-        Self { volume, turned, normals, octree, timings }
+        let turned = turned(&volume);
+        let scanlines = start.elapsed();
+        let octree = MinMaxOctree::of_scalars(scanlines_of(volume.scalars(), volume.dims(), 2));
+        let timings =
+            PrepareTimings { scanlines, octree: start.elapsed() - scanlines, gradients: Duration::ZERO };
+        Self { volume, turned, octree, gradient_octree: OnceLock::new(), timings }
     }
 
     /// What was measured.
@@ -44,34 +48,48 @@ impl PreparedVolume {
 
     /// The codes as the principal axis `axis` (0: x, 1: y, 2: z) walks them.
     pub fn scanlines(&self, axis: usize) -> AnyScanlines<'_> {
-        let dims = self.volume.dims();
-        match if axis == 0 { &self.turned } else { self.volume.scalars() } {
-            Scalars::U8(codes) => AnyScanlines::U8(Scanlines::new(codes, dims, axis)),
-            Scalars::U16(codes) => AnyScanlines::U16(Scanlines::new(codes, dims, axis)),
-        }
+        let codes = if axis == 0 { &self.turned } else { self.volume.scalars() };
+        scanlines_of(codes, self.volume.dims(), axis)
     }
 
-    /// Codes of the normals ([`super::gradient`]), `i` fastest.
-    pub fn normals(&self) -> &[u16] {
-        &self.normals
-    }
-
-    /// Ranges of scalar and gradient magnitude.
+    /// Ranges of scalar; those of gradient magnitude are unknown.
     pub fn octree(&self) -> &MinMaxOctree {
         &self.octree
     }
 
-    /// How long the structures took.
-    pub fn timings(&self) -> PrepareTimings {
-        self.timings
+    /// Ranges of scalar and gradient magnitude, the latter found on the current rayon pool when first
+    /// asked for.
+    pub fn gradient_octree(&self) -> &MinMaxOctree {
+        let there = || self.gradient_octree.get().map(|(octree, _)| octree);
+        // Found outside the lock: who waited for it here could be stealing work from who holds it.
+        there().unwrap_or_else(|| {
+            let start = Instant::now();
+            let octree = self.octree.with_gradients(&self.volume, self.scanlines(2));
+            let _the_first_one_stays = self.gradient_octree.set((octree, start.elapsed()));
+            there().expect("it was just set")
+        })
     }
 
-    /// Bytes in memory, by structure: `volume`, `gradients`, `octree`.
-    pub fn bytes(&self) -> [(&'static str, u64); 3] {
+    /// How long the structures took.
+    pub fn timings(&self) -> PrepareTimings {
+        let gradients = self.gradient_octree.get().map_or(Duration::ZERO, |(_, took)| *took);
+        PrepareTimings { gradients, ..self.timings }
+    }
+
+    /// Bytes in memory, by structure: `volume`, `scanlines` (the second copy), `octree`, `gradients`.
+    pub fn bytes(&self) -> [(&'static str, u64); 4] {
         [
-            ("volume", (self.volume.scalars().bytes() + self.turned.bytes()) as u64),
-            ("gradients", size_of_val(&self.normals[..]) as u64),
+            ("volume", self.volume.scalars().bytes() as u64),
+            ("scanlines", self.turned.bytes() as u64),
             ("octree", self.octree.bytes()),
+            ("gradients", self.gradient_octree.get().map_or(0, |(octree, _)| octree.bytes())),
         ]
+    }
+}
+
+fn scanlines_of(codes: &Scalars, dims: [usize; 3], axis: usize) -> AnyScanlines<'_> {
+    match codes {
+        Scalars::U8(codes) => AnyScanlines::U8(Scanlines::new(codes, dims, axis)),
+        Scalars::U16(codes) => AnyScanlines::U16(Scanlines::new(codes, dims, axis)),
     }
 }

@@ -41,25 +41,44 @@ fn turn<T: Code + Default>(codes: &[T], nx: usize, ny: usize) -> Vec<T> {
 #[derive(Clone, Copy, Debug)]
 pub struct Scanlines<'a, T> {
     codes: &'a [T],
-    length: usize,
+    /// Voxels along i, j, k.
+    dims: [usize; 3],
+    axis: usize,
     /// Codes from a scanline to the next, and from a slice to the next.
     strides: [usize; 2],
 }
 
+/// The volume's axes that i, j, k stand for, by principal axis.
+const AXES: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
+
 impl<'a, T> Scanlines<'a, T> {
     /// `codes` are those of the volume for the axes y and z, the turned ones for x.
-    pub(super) fn new(codes: &'a [T], [nx, ny, _]: [usize; 3], axis: usize) -> Self {
-        match axis {
-            0 => Self { codes, length: ny, strides: [nx * ny, ny] },
-            1 => Self { codes, length: nx, strides: [nx * ny, nx] },
-            _ => Self { codes, length: nx, strides: [nx, nx * ny] },
-        }
+    pub(super) fn new(codes: &'a [T], dims: [usize; 3], axis: usize) -> Self {
+        let [nx, ny, _] = dims;
+        let strides = match axis {
+            0 => [nx * ny, ny],
+            1 => [nx * ny, nx],
+            _ => [nx, nx * ny],
+        };
+        Self { codes, dims: AXES[axis].map(|axis| dims[axis]), axis, strides }
+    }
+
+    /// Voxels along i, j, k.
+    #[inline(always)]
+    pub fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    /// The volume's axes (0: x, 1: y, 2: z) that i, j, k stand for.
+    #[inline(always)]
+    pub fn axes(&self) -> [usize; 3] {
+        AXES[self.axis]
     }
 
     /// The voxels of scanline `j` of slice `k`.
     #[inline(always)]
     pub fn row(&self, j: usize, k: usize) -> &'a [T] {
-        &self.codes[j * self.strides[0] + k * self.strides[1]..][..self.length]
+        &self.codes[j * self.strides[0] + k * self.strides[1]..][..self.dims[0]]
     }
 }
 
