@@ -1,4 +1,4 @@
-//! The run-length encoded volume: for each voxel scanline its runs of non-transparent voxels and
+//! The run-length encoded volume: for each voxel scanline which of its voxels are not transparent, and
 //! those voxels, nothing else (Lacroute and Levoy 1994, section 3.1).
 //!
 //! A frame walks scanlines that are perpendicular to the principal axis, so each of the three axes
@@ -12,47 +12,19 @@
 //! | y | x | z | y | along x | plane j, row k |
 //! | x | y | z | x | along y | plane j, row k |
 //!
-//! Runs never cross a multiple of 64 voxels, so that a run is a mask in one machine word; the
-//! kernel intersects runs with the pixels that are not opaque yet by bit operations.
-//!
-//! Encoding touches voxels only in leaves that octree and summed-area table cannot rule out. It
-//! marks the non-transparent voxels of a plane as bits, turns the bits for the second order, and
-//! copies the marked voxels; planes are independent and spread over the pool.
+//! Runs are kept as the bits that they set in the words of a scanline, an eighth of a byte for each
+//! voxel, and not as a list of lengths: the kernel intersects them with the pixels that are not opaque
+//! yet by operations on words and had to make words of a list first; the other order is a transposition of
+//! bits; and where few voxels are transparent for long, as in scans, a list is no shorter.
+//! Scanlines without any voxel are most, and one bit for each tells the kernel to pass them by.
 
-use rayon::prelude::*;
+mod encode;
 
+pub use super::marks::WORD;
+use super::marks::words;
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
-use crate::volume::gradient::{Code, GradientFrame, gradient_at};
-use crate::volume::octree::leaf_of;
-use crate::volume::{PreparedVolume, Scalars};
-
-/// Voxels of a scanline that a run's mask spans.
-pub const WORD: usize = 64;
-
-/// A run of non-transparent voxels within one word of a scanline.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
-#[repr(C)]
-pub struct Run {
-    /// Index of the first voxel in the scanline.
-    pub start: u16,
-    /// 1..=64.
-    pub length: u16,
-}
-
-impl Run {
-    /// The word of the scanline that the run lies in.
-    #[inline(always)]
-    pub fn word(self) -> usize {
-        usize::from(self.start) / WORD
-    }
-
-    /// The run's voxels as bits of that word.
-    #[inline(always)]
-    pub fn mask(self) -> u64 {
-        (u64::MAX >> (WORD as u32 - u32::from(self.length))) << (u32::from(self.start) % WORD as u32)
-    }
-}
+use crate::volume::PreparedVolume;
 
 /// What a frame needs of a non-transparent voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -67,35 +39,66 @@ pub struct Voxel {
 /// One encoded scanline.
 #[derive(Clone, Copy, Debug)]
 pub struct Scanline<'a> {
-    pub runs: &'a [Run],
-    /// The voxels of all runs, one after the other.
+    /// A bit for every voxel: set for those that are not transparent.
+    pub marked: &'a [u64],
+    /// Those voxels, one after the other.
     pub voxels: &'a [Voxel],
-    /// The voxels' gradient opacity, 255 = 1; empty where it plays no part.
+    /// Their gradient opacity, 255 = 1; empty where it plays no part.
     pub factors: &'a [u8],
 }
 
+impl Scanline<'_> {
+    /// Where voxel `i` is among [`Self::voxels`], if it is not transparent.
+    pub fn place_of(&self, i: usize) -> Option<usize> {
+        let word = *self.marked.get(i / WORD)?;
+        let below = (1u64 << (i % WORD)) - 1;
+        let before: u32 = self.marked[..i / WORD].iter().map(|word| word.count_ones()).sum();
+        (word >> (i % WORD) & 1 == 1).then(|| (before + (word & below).count_ones()) as usize)
+    }
+}
+
 /// Encoded scanlines of one plane.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plane {
-    /// First run and first voxel of every row, and past the last.
-    pub rows: Vec<[u32; 2]>,
-    pub runs: Vec<Run>,
+    /// Words of a row.
+    words: usize,
+    /// A bit for every voxel, row after row.
+    pub marked: Vec<u64>,
+    /// First voxel of every row, and past the last.
+    starts: Vec<u32>,
     pub voxels: Vec<Voxel>,
     pub factors: Vec<u8>,
 }
 
 impl Plane {
+    /// Rows of `length` voxels with these marks. The voxels, as many as marks, are given afterwards.
+    pub(super) fn new(length: usize, marked: Vec<u64>) -> Self {
+        let words = words(length);
+        let mut starts = Vec::with_capacity(marked.len() / words + 1);
+        let mut voxels = 0;
+        starts.push(voxels);
+        for row in marked.chunks_exact(words) {
+            voxels += row.iter().map(|word| word.count_ones()).sum::<u32>();
+            starts.push(voxels);
+        }
+        Self { words, marked, starts, voxels: vec![], factors: vec![] }
+    }
+
+    /// Number of marks.
+    pub(super) fn marks(&self) -> usize {
+        self.starts[self.starts.len() - 1] as usize
+    }
+
     #[inline(always)]
     fn scanline(&self, row: usize) -> Scanline<'_> {
-        let ([run, voxel], [run_end, voxel_end]) = (self.rows[row], self.rows[row + 1]);
-        let voxels = voxel as usize..voxel_end as usize;
+        let voxels = self.starts[row] as usize..self.starts[row + 1] as usize;
         let factors = if self.factors.is_empty() { &[] } else { &self.factors[voxels.clone()] };
-        Scanline { runs: &self.runs[run as usize..run_end as usize], voxels: &self.voxels[voxels], factors }
+        Scanline { marked: &self.marked[row * self.words..][..self.words], voxels: &self.voxels[voxels], factors }
     }
 
     fn bytes(&self) -> u64 {
-        (size_of_val(&self.rows[..]) + size_of_val(&self.runs[..]) + size_of_val(&self.voxels[..]) + self.factors.len())
-            as u64
+        let index = size_of_val(&self.marked[..]) + size_of_val(&self.starts[..]);
+        (index + size_of_val(&self.voxels[..]) + self.factors.len()) as u64
     }
 }
 
@@ -107,6 +110,8 @@ pub struct RunLengthVolume {
     pub(super) along_x: Vec<Plane>,
     /// Scanlines along y: a plane for each z with a row for each x.
     pub(super) along_y: Vec<Plane>,
+    /// By principal axis: a bit for every scanline j, slice after slice, set where it has voxels.
+    filled: [Vec<u64>; 3],
 }
 
 /// The encoding that one principal axis walks.
@@ -115,6 +120,8 @@ pub struct AxisEncoding<'a> {
     planes: &'a [Plane],
     /// True where planes are slices k; else planes are scanline positions j.
     plane_is_slice: bool,
+    filled: &'a [u64],
+    words: usize,
 }
 
 impl<'a> AxisEncoding<'a> {
@@ -123,6 +130,18 @@ impl<'a> AxisEncoding<'a> {
     pub fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
         self.planes[plane].scanline(row)
+    }
+
+    /// The scanlines j of slice `k` that have voxels, a bit each.
+    #[inline(always)]
+    pub fn filled(&self, k: usize) -> &'a [u64] {
+        &self.filled[k * self.words..][..self.words]
+    }
+
+    /// True where scanline `j` of slice `k` has no voxels.
+    #[inline(always)]
+    pub fn is_empty(&self, j: usize, k: usize) -> bool {
+        self.filled(k)[j / WORD] >> (j % WORD) & 1 == 0
     }
 }
 
@@ -135,16 +154,35 @@ impl RunLengthVolume {
         transfer: &TransferFunction,
         occupied: &[bool],
     ) -> Self {
-        match prepared.volume().scalars() {
-            Scalars::U8(codes) => Encoder::new(codes, prepared, tables, transfer, occupied).encode(),
-            Scalars::U16(codes) => Encoder::new(codes, prepared, tables, transfer, occupied).encode(),
-        }
+        encode::encode(prepared, tables, transfer, occupied)
+    }
+
+    /// Of the planes of both orders.
+    pub(super) fn new(dims: [usize; 3], along_x: Vec<Plane>, along_y: Vec<Plane>) -> Self {
+        let [nx, ny, nz] = dims;
+        let has_voxels = |plane: &Plane, row: usize| plane.starts[row] < plane.starts[row + 1];
+        let filled = |[scanlines, slices]: [usize; 2], has_voxels: &dyn Fn(usize, usize) -> bool| {
+            let mut filled = vec![0; words(scanlines) * slices];
+            for (k, slice) in filled.chunks_exact_mut(words(scanlines)).enumerate() {
+                for j in 0..scanlines {
+                    slice[j / WORD] |= u64::from(has_voxels(j, k)) << (j % WORD);
+                }
+            }
+            filled
+        };
+        let filled = [
+            filled([nz, nx], &|j, k| has_voxels(&along_y[j], k)),
+            filled([nz, ny], &|j, k| has_voxels(&along_x[j], k)),
+            filled([ny, nz], &|j, k| has_voxels(&along_x[k], j)),
+        ];
+        Self { dims, along_x, along_y, filled }
     }
 
     /// The encoding for a principal axis (0: x, 1: y, 2: z).
     pub fn for_axis(&self, axis: usize) -> AxisEncoding<'_> {
         let planes = if axis == 0 { &self.along_y } else { &self.along_x };
-        AxisEncoding { planes, plane_is_slice: axis == 2 }
+        let scanlines = if axis == 2 { self.dims[1] } else { self.dims[2] };
+        AxisEncoding { planes, plane_is_slice: axis == 2, filled: &self.filled[axis], words: words(scanlines) }
     }
 
     /// Number of non-transparent voxels.
@@ -159,202 +197,7 @@ impl RunLengthVolume {
 
     /// Bytes in memory, all orders.
     pub fn bytes(&self) -> u64 {
-        self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum()
-    }
-}
-
-/// What all planes of an encoding share.
-struct Encoder<'a, T> {
-    codes: &'a [T],
-    prepared: &'a PreparedVolume,
-    tables: &'a CodeTables,
-    transfer: &'a TransferFunction,
-    frame: GradientFrame,
-    occupied: &'a [bool],
-    dims: [usize; 3],
-}
-
-impl<'a, T: Code> Encoder<'a, T> {
-    fn new(
-        codes: &'a [T],
-        prepared: &'a PreparedVolume,
-        tables: &'a CodeTables,
-        transfer: &'a TransferFunction,
-        occupied: &'a [bool],
-    ) -> Self {
-        let volume = prepared.volume();
-        let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-        Self { codes, prepared, tables, transfer, frame, occupied, dims: volume.dims() }
-    }
-
-    fn encode(&self) -> RunLengthVolume {
-        let (along_x, along_y) = (0..self.dims[2]).into_par_iter().map(|z| self.plane(z)).unzip();
-        RunLengthVolume { dims: self.dims, along_x, along_y }
-    }
-
-    /// Both orders of the plane at `z`.
-    fn plane(&self, z: usize) -> (Plane, Plane) {
-        let [nx, ny, _] = self.dims;
-        let marks_x = self.marks(z);
-        let marks_y = marks_x.turned();
-        let first = z * nx * ny;
-        (self.rows(&marks_x, z, |row, i| first + row * nx + i), self.rows(&marks_y, z, |row, i| first + i * nx + row))
-    }
-
-    /// Marks the non-transparent voxels of a plane, rows along x.
-    fn marks(&self, z: usize) -> Marks {
-        let [nx, ny, nz] = self.dims;
-        let [bx, by, _] = self.prepared.octree().leaf_dims();
-        let mut marks = Marks::new(nx, ny);
-        let words = marks.words;
-        for (y, row) in marks.bits.chunks_exact_mut(words).enumerate() {
-            let leaves = &self.occupied[(leaf_of(z, nz) * by + leaf_of(y, ny)) * bx..][..bx];
-            let at = (z * ny + y) * nx;
-            for (leaf, _) in leaves.iter().enumerate().filter(|(_, occupied)| **occupied) {
-                let first = leaf * crate::volume::octree::LEAF;
-                let end = if leaf + 1 == bx { nx } else { first + crate::volume::octree::LEAF };
-                for x in first..end {
-                    let visible = self.is_visible(at + x, [x, y, z]);
-                    row[x / WORD] |= u64::from(visible) << (x % WORD);
-                }
-            }
-        }
-        marks
-    }
-
-    #[inline(always)]
-    fn is_visible(&self, index: usize, at: [usize; 3]) -> bool {
-        let code: u16 = self.codes[index].into();
-        let tau = self.tables.extinction[usize::from(code)];
-        tau > 0.0 && (self.transfer.gradient_opacity.is_empty() || self.tables.is_visible(tau, self.factor(at)))
-    }
-
-    /// The gradient opacity of a voxel, 255 = 1.
-    fn factor(&self, at: [usize; 3]) -> u8 {
-        let magnitude = gradient_at(self.prepared.volume(), &self.frame, at).length();
-        (self.transfer.gradient_factor(magnitude) * 255.0).round() as u8
-    }
-
-    /// Encodes marked rows; `index` gives the voxel of (row, position in row).
-    fn rows(&self, marks: &Marks, z: usize, index: impl Fn(usize, usize) -> usize) -> Plane {
-        let [nx, ny, _] = self.dims;
-        let normals = self.prepared.normals();
-        let mut plane = Plane::default();
-        let with_factors = !self.transfer.gradient_opacity.is_empty();
-        plane.rows.push([0, 0]);
-        for (row, words) in marks.bits.chunks_exact(marks.words).enumerate() {
-            for run in words.iter().enumerate().flat_map(|(word, &bits)| runs(word, bits)) {
-                plane.runs.push(run);
-                for i in usize::from(run.start)..usize::from(run.start) + usize::from(run.length) {
-                    let at = index(row, i);
-                    plane.voxels.push(Voxel { code: self.codes[at].into(), normal: normals[at] });
-                    if with_factors {
-                        plane.factors.push(self.factor([at % nx, at / nx % ny, z]));
-                    }
-                }
-            }
-            plane.rows.push([plane.runs.len() as u32, plane.voxels.len() as u32]);
-        }
-        plane.runs.shrink_to_fit();
-        plane.voxels.shrink_to_fit();
-        plane
-    }
-}
-
-/// The runs of set bits in a word.
-fn runs(word: usize, mut bits: u64) -> impl Iterator<Item = Run> {
-    std::iter::from_fn(move || {
-        if bits == 0 {
-            return None;
-        }
-        let start = bits.trailing_zeros();
-        let length = (!(bits >> start)).trailing_zeros().min(WORD as u32 - start);
-        let run = Run { start: (word * WORD) as u16 + start as u16, length: length as u16 };
-        bits &= !run.mask();
-        Some(run)
-    })
-}
-
-/// A plane's non-transparent voxels, a bit each.
-struct Marks {
-    /// Voxels in a row, and rows.
-    dims: [usize; 2],
-    words: usize,
-    bits: Vec<u64>,
-}
-
-impl Marks {
-    fn new(length: usize, rows: usize) -> Self {
-        let words = length.div_ceil(WORD);
-        Self { dims: [length, rows], words, bits: vec![0; words * rows] }
-    }
-
-    /// Rows and columns swapped, by blocks of 64 x 64 bits.
-    fn turned(&self) -> Self {
-        let [length, rows] = self.dims;
-        let mut turned = Self::new(rows, length);
-        for block_row in 0..rows.div_ceil(WORD) {
-            for word in 0..self.words {
-                let source = |i: usize| self.bits.get((block_row * WORD + i) * self.words + word).copied();
-                let mut block: [u64; WORD] = std::array::from_fn(|i| source(i).unwrap_or(0));
-                if block.iter().all(|&bits| bits == 0) {
-                    continue;
-                }
-                transpose(&mut block);
-                for (i, bits) in block.into_iter().enumerate().take(length - word * WORD) {
-                    turned.bits[(word * WORD + i) * turned.words + block_row] = bits;
-                }
-            }
-        }
-        turned
-    }
-}
-
-/// Transposes 64 x 64 bits: bit j of word i becomes bit i of word j (Hacker's Delight 7-3).
-fn transpose(block: &mut [u64; WORD]) {
-    let (mut width, mut mask) = (WORD / 2, u64::MAX >> (WORD / 2));
-    while width > 0 {
-        let mut i = 0;
-        while i < WORD {
-            let swap = (block[i] >> width ^ block[i + width]) & mask;
-            block[i + width] ^= swap;
-            block[i] ^= swap << width;
-            i = (i + width + 1) & !width;
-        }
-        width /= 2;
-        mask ^= mask << width;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn transposing_moves_every_bit_to_its_mirror() {
-        let mut state = 1u64;
-        let block: [u64; WORD] = std::array::from_fn(|_| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            state ^ state >> 29
-        });
-        let mut turned = block;
-        transpose(&mut turned);
-        for (i, row) in block.iter().enumerate() {
-            for (j, column) in turned.iter().enumerate() {
-                assert_eq!(row >> j & 1, column >> i & 1);
-            }
-        }
-    }
-
-    #[test]
-    fn runs_cover_exactly_the_set_bits() {
-        for bits in [0, 1, u64::MAX, 1 << 63, 0xf0f0_0000_ffff_0001, !1] {
-            let union = runs(3, bits).fold(0, |union, run| {
-                assert_eq!(run.word(), 3);
-                assert_eq!(union & run.mask(), 0, "runs overlap");
-                union | run.mask()
-            });
-            assert_eq!(union, bits);
-        }
+        let filled: usize = self.filled.iter().map(|filled| size_of_val(&filled[..])).sum();
+        self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum::<u64>() + filled as u64
     }
 }

@@ -206,7 +206,12 @@ impl Summary {
 
 fn prepare_ms(stage: &Stage, load: Duration, preintegration_table: Duration) -> Named<f64> {
     let prepared = stage.prepared.timings();
-    let once = [("load", load), ("gradients", prepared.gradients), ("octree", prepared.octree)];
+    let once = [
+        ("load", load),
+        ("scanlines", prepared.scanlines),
+        ("octree", prepared.octree),
+        ("gradients", prepared.gradients),
+    ];
     let steps = stage
         .classified
         .as_ref()

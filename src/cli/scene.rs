@@ -163,7 +163,7 @@ impl Stage {
     pub fn build(loaded: LoadedVolume, request: RenderRequest) -> Result<Self, Failure> {
         let presets = FittedPresets::of(&loaded.volume, loaded.modality.as_deref());
         let resolved = request.resolve(&loaded.volume, &presets, &LIMITS).map_err(refused)?;
-        let progress = spinner("gradients and octree");
+        let progress = spinner("octree");
         let level_0 = loaded.volume;
         let volume = if resolved.level() == 0 { level_0.clone() } else { pyramid::coarser(&level_0) };
         let prepared = PreparedVolume::build(volume);

@@ -24,7 +24,7 @@ use super::view::{Rays, View};
 use crate::volume::Volume;
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
-const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
+pub const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
 
 /// An axis must beat another by this factor to become the principal one, so that a view between
 /// two axes does not flip from one to the other by rounding.
@@ -160,19 +160,36 @@ impl Factorization {
 
     /// Where slice `k` lies over the intermediate image.
     pub fn slice(&self, k: usize) -> SlicePlacement {
-        let offset = (self.shear * k as f64 + self.translation) / OFFSET_STEP;
+        self.placement(k as f64)
+    }
+
+    /// Where a slice lies over the intermediate image that may be between two slices of voxels.
+    pub fn placement(&self, k: f64) -> SlicePlacement {
+        let offset = (self.shear * k + self.translation) / OFFSET_STEP;
         let offset = offset.round().max(DVec2::ZERO) * OFFSET_STEP;
         let first = offset.ceil();
         let fraction = (first - offset).as_vec2();
         SlicePlacement { first: [first.x as usize, first.y as usize], fraction: fraction.to_array() }
     }
 
-    /// The pixels u of scanline `v` of slice `k` that the view's clip planes leave.
-    pub fn visible_pixels(&self, v: usize, k: usize) -> Range<usize> {
+    /// The index coordinates (the volume's axes x, y, z) of pixel (u, v) of a slice, which may be
+    /// between two slices of voxels.
+    pub fn index_from_sheared(&self, u: f64, v: f64, k: f64) -> DVec3 {
+        let in_slice = DVec2::new(u, v) - (self.shear * k + self.translation);
+        let mut index = DVec3::ZERO;
+        for (axis, at) in PERMUTATIONS[self.principal_axis].into_iter().zip([in_slice.x, in_slice.y, k]) {
+            index[axis] = at;
+        }
+        index
+    }
+
+    /// The pixels u of scanline `v` that the view's clip planes leave of a slice, which may be between
+    /// two slices of voxels.
+    pub fn visible_pixels(&self, v: usize, k: f64) -> Range<usize> {
         let (mut low, mut high) = (0.0, (self.size[0] - 1) as f64);
         for half in &self.clip {
             let rate = half.coefficients.x;
-            let rest = half.coefficients.y * v as f64 + half.coefficients.z * k as f64 + half.offset;
+            let rest = half.coefficients.y * v as f64 + half.coefficients.z * k + half.offset;
             if rate > 0.0 {
                 low = f64::max(low, -rest / rate);
             } else if rate < 0.0 {

@@ -9,6 +9,7 @@ pub mod material;
 pub mod shade;
 mod shear_image;
 mod shear_warp;
+pub mod slab;
 pub mod view;
 pub mod warp;
 
@@ -334,10 +335,10 @@ pub struct Scene<'a> {
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    match settings.way() {
+    match settings.way(view) {
         Way::ImageOrder | Way::ShearImage => Ok(()),
         Way::ShearWarp => match settings.algorithm {
-            Algorithm::FastClassification | Algorithm::Preintegrated => Err(RenderError::Unsupported {
+            Algorithm::FastClassification => Err(RenderError::Unsupported {
                 pointer: "/algorithm",
                 detail: format!("{} is not supported by this version", settings.algorithm.name()),
             }),
@@ -354,10 +355,12 @@ enum Way {
 }
 
 impl Settings {
-    fn way(&self) -> Way {
-        match (self.algorithm, self.blend) {
-            (Algorithm::Raycast, _) => Way::ImageOrder,
-            (_, Blend::Projection(..)) | (Algorithm::Preintegrated, _) => Way::ShearImage,
+    fn way(&self, view: &View) -> Way {
+        match (self.algorithm, self.blend, self.quality, view.projection()) {
+            (Algorithm::Raycast, ..) => Way::ImageOrder,
+            (_, Blend::Projection(..), ..)
+            | (Algorithm::Preintegrated, _, Quality::High, _)
+            | (Algorithm::Preintegrated, _, _, Projection::Perspective) => Way::ShearImage,
             _ => Way::ShearWarp,
         }
     }
@@ -374,7 +377,7 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match settings.way() {
+    match settings.way(view) {
         Way::ImageOrder => reference(scene, view, settings, cancel),
         Way::ShearImage => shear_image::frame(scene, view, settings, cancel),
         Way::ShearWarp => shear_warp::frame(scene, view, settings, cancel),

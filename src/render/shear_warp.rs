@@ -1,14 +1,17 @@
 //! A frame by the shear-warp factorization: the paper's outline.
 
-use std::time::Instant;
+mod slabs;
+mod voxels;
 
-use super::composite::{self, Composite};
+use std::time::{Duration, Instant};
+
+use super::composite::cue::DepthTables;
+use super::composite::{Composite, naive};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
-use super::material::{Material, SliceTables};
 use super::shade::ShadingTable;
-use super::{Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
-use crate::classify::{Encodings, RunLengthVolume};
+use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
+use crate::classify::Classification;
 use crate::volume::gradient::GradientFrame;
 
 /// A frame by the shear-warp factorization: the paper's outline.
@@ -18,38 +21,33 @@ pub(super) fn frame(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    let classification = scene.classification.expect("the algorithm needs a classification");
     let start = Instant::now();
-    let made;
-    let run_lengths = match scene.encodings.and_then(Encodings::voxels) {
-        Some(run_lengths) => run_lengths,
-        None => {
-            let (tables, occupied) = (classification.tables(), classification.occupied());
-            made = RunLengthVolume::encode(scene.prepared, tables, scene.transfer, occupied);
-            &made
-        }
-    };
     let volume = scene.prepared.volume();
 
     // Factor the view into shear and warp.
     let factorization = Factorization::new(view, volume)?;
 
-    // Make the tables that depend on the view: opacity and colour by code, shading by normal.
-    let factored = !scene.transfer.gradient_opacity.is_empty();
-    let tables = SliceTables::new(classification.tables(), &factorization, factored);
+    // Make the tables that depend on the view: shading by normal, fading by depth, and, in the pass,
+    // opacity and colour by code or by pairs of them.
     let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
     let shading =
         settings.shading.as_ref().map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame));
-    let shade = start.elapsed();
+    let cue = settings.depth_cueing.as_ref().map(|cueing| DepthTables::new(cueing, view, volume, &factorization));
+    let pass = Pass {
+        scene,
+        classification: scene.classification.expect("the algorithm needs a classification"),
+        factorization: &factorization,
+        shading: shading.as_ref(),
+        cue: cue.as_ref(),
+        settings,
+        cancel,
+    };
 
     // Shear, resample and composite the slices into the intermediate image.
     let mut intermediate = IntermediateImage::new(factorization.size);
-    let frame = ClassifiedFrame { run_lengths, factorization: &factorization, settings, cancel };
-    match (&shading, factored) {
-        (Some(_), true) => frame.composite::<true, true>(&tables, shading.as_ref(), &mut intermediate),
-        (Some(_), false) => frame.composite::<true, false>(&tables, shading.as_ref(), &mut intermediate),
-        (None, true) => frame.composite::<false, true>(&tables, None, &mut intermediate),
-        (None, false) => frame.composite::<false, false>(&tables, None, &mut intermediate),
+    let begun = match settings.algorithm {
+        Algorithm::Preintegrated => pass.slabs(&mut intermediate),
+        _ => pass.voxels(&mut intermediate),
     }?;
     let composite = start.elapsed();
 
@@ -60,33 +58,40 @@ pub(super) fn frame(
     warp::warp(&intermediate, &factorization, &settings.background, width as usize, &mut pixels, cancel)?;
     let render = start.elapsed();
 
-    let timings =
-        Timings { shade, composite: composite - shade, warp: render - composite, render, ..Timings::default() };
+    let Begun { at: ready, preintegration_table } = begun;
+    let (shade, composite, warp) =
+        (ready - start - preintegration_table, composite - (ready - start), render - composite);
+    let timings = Timings { preintegration_table, shade, composite, warp, render };
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
 }
 
 /// What compositing takes from the frame, whatever its type parameters.
-struct ClassifiedFrame<'a> {
-    run_lengths: &'a RunLengthVolume,
+#[derive(Clone, Copy)]
+struct Pass<'a> {
+    scene: &'a Scene<'a>,
+    classification: &'a Classification,
     factorization: &'a Factorization,
+    shading: Option<&'a ShadingTable>,
+    cue: Option<&'a DepthTables>,
     settings: &'a Settings,
     cancel: &'a Cancel,
 }
 
-impl ClassifiedFrame<'_> {
-    fn composite<const LIT: bool, const FACTORED: bool>(
+/// When compositing began, and how long of the time before a pre-integration table took.
+struct Begun {
+    at: Instant,
+    preintegration_table: Duration,
+}
+
+impl Pass<'_> {
+    /// Composites into `image`.
+    fn run(
         &self,
-        tables: &SliceTables,
-        shading: Option<&ShadingTable>,
+        composite: &(impl Composite + naive::Pixels),
         image: &mut IntermediateImage,
-    ) -> Result<(), RenderError> {
-        let composite = Composite::<LIT, FACTORED> {
-            encoding: self.run_lengths.for_axis(self.factorization.principal_axis),
-            factorization: self.factorization,
-            material: Material::new(tables, shading),
-            opaque: self.settings.early_ray_termination,
-            cancel: self.cancel,
-        };
-        if self.settings.skipping { composite.run(image) } else { composite::naive::run(&composite, image) }
+    ) -> Result<Begun, RenderError> {
+        let at = Instant::now();
+        if self.settings.skipping { composite.run(image) } else { naive::run(composite, image, self.cancel) }?;
+        Ok(Begun { at, preintegration_table: Duration::ZERO })
     }
 }

@@ -36,8 +36,7 @@ impl PreparedVolume {
         let turned = turned(&volume);
         let scanlines = start.elapsed();
         let octree = MinMaxOctree::of_scalars(scanlines_of(volume.scalars(), volume.dims(), 2));
-        let timings =
-            PrepareTimings { scanlines, octree: start.elapsed() - scanlines, gradients: Duration::ZERO };
+        let timings = PrepareTimings { scanlines, octree: start.elapsed() - scanlines, gradients: Duration::ZERO };
         Self { volume, turned, octree, gradient_octree: OnceLock::new(), timings }
     }
 

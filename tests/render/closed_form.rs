@@ -1,10 +1,10 @@
 //! Uniform media: alpha is 1 - exp(-tau L), L the length of the ray inside.
 
 use glam::{DVec2, DVec3};
-use shearwarp::render::{Algorithm, Camera, Image, Orbit, Projection, View};
+use shearwarp::render::{Algorithm, Camera, Image, Orbit, Projection};
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
-use crate::scenes::{Prepared, medium, plain, transfer};
+use crate::scenes::{Prepared, chord, medium, plain, transfer};
 
 const SIZE: u32 = 48;
 const OPACITY: f64 = 0.03;
@@ -27,21 +27,6 @@ fn volume(dims: [usize; 3], spacing: [f64; 3], code: impl Fn(DVec3) -> u8) -> Vo
     let report = ImportReport::plain("test", ScalarType::U8);
     let placement = Placement::from_spacing(spacing.into());
     Volume::new(dims, placement, Scalars::U8(codes.collect()), (1.0, 0.0), report).unwrap()
-}
-
-/// Length of the ray through `at` inside the box of voxel centres, mm.
-fn chord_of_box(view: &View, volume: &Volume, at: DVec2) -> f64 {
-    let ray = view.ray(at);
-    let index_from_world = volume.world_from_index().inverse();
-    let (start, along) =
-        (index_from_world.transform_point3(ray.origin), index_from_world.transform_vector3(ray.direction));
-    let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
-    for axis in 0..3 {
-        let ends = [-start[axis], (volume.dims()[axis] - 1) as f64 - start[axis]].map(|d| d / along[axis]);
-        enter = enter.max(ends[0].min(ends[1]));
-        leave = leave.min(ends[0].max(ends[1]));
-    }
-    (leave - enter).max(0.0)
 }
 
 fn alpha(image: &Image, x: u32, y: u32) -> f64 {
@@ -79,7 +64,7 @@ fn the_ray_caster_meets_a_uniform_box_to_rounding() {
         for orbit in views() {
             let view = scene.view(&Camera::Orbit(Orbit { projection, ..orbit.clone() }), SIZE, SIZE);
             let image = scene.frame(&view, &plain(Algorithm::Raycast));
-            let length = |at| chord_of_box(&view, scene.prepared.volume(), at);
+            let length = |at| chord(&view, scene.prepared.volume(), at).length;
             assert_alpha(&image, |at| (length(at), length(at)), &format!("{projection:?} {orbit:?}"));
         }
     }
@@ -103,7 +88,7 @@ fn classified_meets_a_uniform_box_to_a_slice_and_a_voxel() {
         let reach = volume.placement().spacing.max_element() * 2f64.sqrt() / pixel;
         let lengths = |at: DVec2| {
             let offsets = (-2..=2).flat_map(|x| (-2..=2).map(move |y| DVec2::new(f64::from(x), f64::from(y)) / 2.0));
-            let near: Vec<f64> = offsets.map(|o| chord_of_box(&view, volume, at + o * reach)).collect();
+            let near: Vec<f64> = offsets.map(|o| chord(&view, volume, at + o * reach).length).collect();
             let shortest = near.iter().copied().fold(f64::INFINITY, f64::min);
             let longest = near.iter().copied().fold(0.0, f64::max);
             let end = if longest > 0.0 { slice_distance } else { 0.0 };

@@ -5,5 +5,7 @@ mod equivalence;
 mod golden;
 mod invariance;
 mod layering;
+mod ramp;
 mod scenes;
 mod shear_image;
+mod slabs;

@@ -1,7 +1,10 @@
 //! Scenes that the tests share: small volumes, transfer functions, views.
 
+use glam::{DVec2, DVec3};
 use shearwarp::classify::{Classification, Color, ControlPoint, Encodings, Purpose, TransferFunction};
-use shearwarp::render::{Algorithm, Background, Camera, Cancel, Image, Quality, Scene, Settings, View, render};
+use shearwarp::render::{
+    Algorithm, Background, Camera, Cancel, Image, Projection, Quality, Scene, Settings, View, render,
+};
 use shearwarp::volume::{PreparedVolume, Volume};
 
 /// A volume under a transfer function, ready for any algorithm.
@@ -79,6 +82,36 @@ pub fn transfer(points: &[(f64, f64)]) -> TransferFunction {
 /// The same colour and extinction everywhere.
 pub fn medium(opacity: f64, opacity_distance: f64) -> TransferFunction {
     TransferFunction { opacity_distance: Some(opacity_distance), ..transfer(&[(0.0, opacity)]) }
+}
+
+/// What of a ray lies inside the box of voxel centres.
+pub struct Chord {
+    /// Index coordinates where the ray enters and leaves.
+    pub ends: [DVec3; 2],
+    /// mm; 0 where the ray misses.
+    pub length: f64,
+    /// Direction of the ray, world, unit.
+    pub direction: DVec3,
+}
+
+/// The chord of the ray through pixel coordinates `at`.
+pub fn chord(view: &View, volume: &Volume, at: DVec2) -> Chord {
+    let ray = view.ray(at);
+    let index_from_world = volume.world_from_index().inverse();
+    let (start, along) =
+        (index_from_world.transform_point3(ray.origin), index_from_world.transform_vector3(ray.direction));
+    let first = if view.projection() == Projection::Parallel { f64::NEG_INFINITY } else { 0.0 };
+    let (mut enter, mut leave) = (first, f64::INFINITY);
+    for axis in 0..3 {
+        let ends = [-start[axis], (volume.dims()[axis] - 1) as f64 - start[axis]].map(|d| d / along[axis]);
+        enter = enter.max(ends[0].min(ends[1]));
+        leave = leave.min(ends[0].max(ends[1]));
+    }
+    Chord {
+        ends: [enter, leave].map(|t| start + along * t),
+        length: (leave - enter).max(0.0),
+        direction: ray.direction,
+    }
 }
 
 /// Runs on a pool of so many threads.

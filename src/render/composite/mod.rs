@@ -2,182 +2,89 @@
 //! image (Lacroute and Levoy 1994, section 3.1).
 //!
 //! The intermediate image is cut into bands of scanlines, each a job of its own that walks all
-//! slices; pixels do not depend on how bands are cut or on who fills them. For a scanline of a
-//! slice:
+//! slices; pixels do not depend on how bands are cut or on who fills them. What the slices are made
+//! of is a type parameter of the walk:
 //!
-//! 1. *Which pixels?* The runs of the two voxel scanlines that the pixels gather from are marked
-//!    as bits; a pixel needs work if a voxel it touches is marked and it is not opaque itself. That
-//!    is a union, a shift and an intersection of machine words (`spans.rs`).
-//! 2. *Shade* the voxels those pixels touch into a row buffer, each once: the lower scanline of
-//!    one pixel row is the upper one of the next (`rows.rs`).
-//! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
-//!    opaque pixel's bit is cleared.
+//! - [`voxels`]: single voxels, shaded and resampled, each slice behind the one before.
+//! - [`slabs`]: what lies between two slices, looked up by the scalars on both.
+//!
+//! Either works in the same three steps for a scanline of pixels: *which pixels* are not opaque and
+//! see something that is not transparent (machine words, a bit for each pixel); *fetch* the voxels
+//! those pixels touch into row buffers, each once; *resample and blend*.
 //!
 //! Everything skipped would have added exact zeros or stood behind an opaque pixel; [`naive`] does
 //! it all the slow way and tests hold both together bit for bit.
 
+pub mod cue;
+mod mask;
 pub mod naive;
+pub mod occupied;
 mod rows;
+pub mod samples;
+pub mod slabs;
 mod spans;
+pub mod voxels;
 
 use glam::Vec4;
 use rayon::prelude::*;
 
-use super::factorization::{Factorization, SlicePlacement};
-use super::intermediate::{Band, IntermediateImage, ScanlineMut};
-use super::material::Material;
-use super::{Cancel, RenderError};
-use crate::classify::rle::{AxisEncoding, WORD};
-use rows::RowBuffers;
-use spans::Spans;
+use super::RenderError;
+use super::intermediate::{Band, IntermediateImage};
+use super::simd::{self, Kernel};
+
+/// Pixels of a mask word.
+const WORD: usize = 64;
 
 /// Scanlines of a band: enough to share voxel scanlines between pixel rows, few enough that a
 /// band's pixels stay in the second-level cache and bands spread evenly over threads.
 const BAND_HEIGHT: usize = 16;
 
-/// What the bands of a frame share.
-#[derive(Debug)]
-pub struct Composite<'a, const LIT: bool, const FACTORED: bool> {
-    pub encoding: AxisEncoding<'a>,
-    pub factorization: &'a Factorization,
-    pub material: Material<'a, LIT, FACTORED>,
-    /// Accumulated opacity at which a pixel is done.
-    pub opaque: f32,
-    pub cancel: &'a Cancel,
-}
+/// Slices from one look at whether the frame was cancelled to the next.
+const CANCEL_STEP: usize = 64;
 
-impl<const LIT: bool, const FACTORED: bool> Composite<'_, LIT, FACTORED> {
-    /// Composites all slices into `image`, which must be transparent and of the factorization's size.
+/// A walk over all slices that fills bands of the intermediate image.
+pub trait Composite: Sync {
+    /// Row buffers and masks of a thread.
+    type Scratch: Send;
+
+    /// Scratch for bands of at most `height` scanlines.
+    fn scratch(&self, height: usize) -> Self::Scratch;
+
+    /// Composites all slices into a band. Implementations are `#[inline(always)]`.
     ///
     /// # Errors
     /// [`RenderError::Cancelled`].
-    pub fn run(&self, image: &mut IntermediateImage) -> Result<(), RenderError> {
+    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError>;
+
+    /// Composites into `image`, which must be transparent and of the factorization's size.
+    ///
+    /// # Errors
+    /// [`RenderError::Cancelled`].
+    fn run(&self, image: &mut IntermediateImage) -> Result<(), RenderError>
+    where
+        Self: Sized,
+    {
         image.bands(BAND_HEIGHT).try_for_each_init(
-            || (RowBuffers::new(self.factorization.dims[0]), Spans::new(self.factorization.dims[0])),
-            |(rows, spans), mut band| self.band(&mut band, rows, spans),
+            || self.scratch(BAND_HEIGHT),
+            |scratch, mut band| simd::dispatch(Job { composite: self, band: &mut band, scratch }),
         )
     }
-
-    /// All slices into one band.
-    fn band(&self, band: &mut Band<'_>, rows: &mut RowBuffers, spans: &mut Spans) -> Result<(), RenderError> {
-        let slices = self.factorization.dims[2];
-        for step in 0..slices {
-            if step % 64 == 0 && self.cancel.is_cancelled() {
-                return Err(RenderError::Cancelled);
-            }
-            let k = if self.factorization.reversed { slices - 1 - step } else { step };
-            self.slice(band, k, rows, spans);
-        }
-        Ok(())
-    }
-
-    /// One slice into one band.
-    #[inline(always)]
-    fn slice(&self, band: &mut Band<'_>, k: usize, rows: &mut RowBuffers, spans: &mut Spans) {
-        let placement = self.factorization.slice(k);
-        let [fraction_u, fraction_v] = placement.fraction;
-        let material = self.material.slice(self.factorization.is_outermost(k));
-        // Pixels between the slice's first and last voxel scanline: nothing lies outside the box.
-        let last = self.factorization.dims[1] - 1 - usize::from(fraction_v > 0.0);
-        let first_row = placement.first[1].saturating_sub(band.first);
-        let end_row = (placement.first[1] + last + 1).saturating_sub(band.first).min(band.height());
-        let weights = Weights::new(fraction_u, fraction_v);
-        rows.next_slice();
-        for row in first_row..end_row {
-            let v = band.first + row;
-            let j = v - placement.first[1];
-            let upper = self.encoding.scanline(j, k);
-            let lower = (fraction_v > 0.0).then(|| self.encoding.scanline(j + 1, k));
-            if upper.runs.is_empty() && lower.is_none_or(|lower| lower.runs.is_empty()) {
-                continue;
-            }
-            rows.enter(j, &upper, lower.as_ref());
-            let mut scanline = band.scanline(row);
-            spans.find(rows, &scanline, placement.first[0], fraction_u > 0.0);
-            if !self.factorization.clip.is_empty() {
-                let visible = self.factorization.visible_pixels(v, k);
-                spans.clip(visible, placement.first[0]);
-            }
-            if spans.is_empty() {
-                continue;
-            }
-            rows.shade(&upper, lower.as_ref(), spans, material);
-            self.blend(&mut scanline, &placement, rows, spans, &weights);
-        }
-    }
-
-    /// Resamples the row buffers at the spans' pixels and blends behind what is there.
-    #[inline(always)]
-    fn blend(
-        &self,
-        scanline: &mut ScanlineMut<'_>,
-        placement: &SlicePlacement,
-        rows: &RowBuffers,
-        spans: &Spans,
-        weights: &Weights,
-    ) {
-        for (word, &bits) in spans.pixels().iter().enumerate() {
-            let mut bits = bits;
-            while bits != 0 {
-                let start = bits.trailing_zeros() as usize;
-                let length = (!(bits >> start)).trailing_zeros().min((WORD - start) as u32) as usize;
-                bits &= !run_mask(start, length);
-                let i = word * WORD + start;
-                let u = i + placement.first[0];
-                let (upper, lower) = rows.voxels(i, length + 1);
-                let pixels = &mut scanline.pixels[u..u + length];
-                let opaque = if rows.has_lower() {
-                    blend_run::<true>(pixels, upper, lower, weights, self.opaque)
-                } else {
-                    blend_run::<false>(pixels, upper, lower, weights, self.opaque)
-                };
-                if opaque != 0 {
-                    clear_bits(scanline.non_opaque, u, opaque);
-                }
-            }
-        }
-    }
 }
 
-/// Bilinear weights of the four voxels around a pixel, the same for all of a slice.
-#[derive(Clone, Copy, Debug)]
-struct Weights {
-    upper: [f32; 2],
-    lower: [f32; 2],
+/// One band.
+struct Job<'a, 'b, C: Composite> {
+    composite: &'a C,
+    band: &'a mut Band<'b>,
+    scratch: &'a mut C::Scratch,
 }
 
-impl Weights {
-    #[inline(always)]
-    fn new(fraction_u: f32, fraction_v: f32) -> Self {
-        let along = [1.0 - fraction_u, fraction_u];
-        Self { upper: along.map(|w| w * (1.0 - fraction_v)), lower: along.map(|w| w * fraction_v) }
-    }
+impl<C: Composite> Kernel for Job<'_, '_, C> {
+    type Output = Result<(), RenderError>;
 
-    /// The resampled value between two voxels of the upper and two of the lower scanline.
     #[inline(always)]
-    fn sample<const LOWER: bool>(&self, upper: [Vec4; 2], lower: [Vec4; 2]) -> Vec4 {
-        let above = upper[0] * self.upper[0] + upper[1] * self.upper[1];
-        if LOWER { above + (lower[0] * self.lower[0] + lower[1] * self.lower[1]) } else { above }
+    fn run(self) -> Self::Output {
+        self.composite.band(self.band, self.scratch)
     }
-}
-
-/// Blends consecutive pixels; gives the mask of those that became opaque.
-#[inline(always)]
-fn blend_run<const LOWER: bool>(
-    pixels: &mut [Vec4],
-    upper: &[Vec4],
-    lower: &[Vec4],
-    weights: &Weights,
-    opaque: f32,
-) -> u64 {
-    let mut done = 0;
-    let voxels = upper.windows(2).zip(lower.windows(2));
-    for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
-        let sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
-        *pixel = over(*pixel, sample);
-        done |= u64::from(pixel.w >= opaque) << at;
-    }
-    done
 }
 
 /// A premultiplied sample behind a premultiplied pixel.
@@ -190,6 +97,13 @@ fn over(front: Vec4, sample: Vec4) -> Vec4 {
 #[inline(always)]
 fn run_mask(start: usize, length: usize) -> u64 {
     (u64::MAX >> (WORD - length)) << start
+}
+
+/// The first run of set bits in a word that is not zero: its start and its length.
+#[inline(always)]
+fn first_run(bits: u64) -> (usize, usize) {
+    let start = bits.trailing_zeros() as usize;
+    (start, (!(bits >> start)).trailing_zeros().min((WORD - start) as u32) as usize)
 }
 
 /// Clears the bits of `mask`, which starts at bit `from` of `words`.

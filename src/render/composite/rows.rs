@@ -57,10 +57,8 @@ impl Row {
     fn enter(&mut self, j: usize, scanline: &Scanline<'_>) {
         self.clear();
         self.j = Some(j);
-        self.empty = scanline.runs.is_empty();
-        for run in scanline.runs {
-            self.marked[run.word()] |= run.mask();
-        }
+        self.empty = scanline.voxels.is_empty();
+        self.marked[..scanline.marked.len()].copy_from_slice(scanline.marked);
     }
 
     /// Shades what `touched` asks for of the scanline's runs: per run the stretch from the first to
@@ -73,14 +71,16 @@ impl Row {
         material: SliceMaterial<'_, LIT, FACTORED>,
     ) {
         let mut before = 0;
-        for run in scanline.runs {
-            let (start, length) = (usize::from(run.start), usize::from(run.length));
-            let asked = touched[run.word()] & run.mask() & !self.shaded[run.word()];
-            if asked != 0 {
-                let first = run.word() * WORD + asked.trailing_zeros() as usize;
-                let end = (run.word() + 1) * WORD - asked.leading_zeros() as usize;
-                let stored = before + first - start..before + end - start;
-                let out = &mut self.voxels[first..end];
+        for (word, &marked) in scanline.marked.iter().enumerate() {
+            let mut asked = touched[word] & marked & !self.shaded[word];
+            while asked != 0 {
+                // The rest of the run that the next voxel asked for lies in.
+                let start = asked.trailing_zeros() as usize;
+                let within = super::run_mask(start, (marked >> start).trailing_ones() as usize);
+                let end = WORD - (asked & within).leading_zeros() as usize;
+                let stored = before + (marked & !(u64::MAX << start)).count_ones() as usize;
+                let stored = stored..stored + end - start;
+                let out = &mut self.voxels[word * WORD + start..word * WORD + end];
                 if FACTORED {
                     let voxels = scanline.voxels[stored.clone()].iter().zip(&scanline.factors[stored]);
                     for (out, (voxel, factor)) in out.iter_mut().zip(voxels) {
@@ -91,9 +91,10 @@ impl Row {
                         *out = material.color(*voxel, u8::MAX);
                     }
                 }
-                self.shaded[run.word()] |= super::run_mask(first % WORD, end - first);
+                self.shaded[word] |= super::run_mask(start, end - start);
+                asked &= !within;
             }
-            before += length;
+            before += marked.count_ones() as usize;
         }
     }
 }

@@ -1,0 +1,87 @@
+//! Where a cell may show something, as words of a scanline: from the runs of cells, or, where there are
+//! none yet, from what octree and summed-area table say of the leaves.
+//!
+//! A leaf's answer serves all scanlines that pass through it, so the flags of a row of leaves become
+//! words once and adjacent scanlines share them (Lacroute and Levoy 1994, section 3.3).
+
+use crate::classify::cells::{AxisCells, WORD, words};
+use crate::classify::{Classification, Encodings};
+use crate::render::factorization::{Factorization, PERMUTATIONS};
+use crate::volume::octree::{LEAF, leaf_of, leaves_along};
+
+/// A bit for every cell of a scanline: clear only where nothing shows.
+#[derive(Clone, Debug)]
+pub enum Occupied<'a> {
+    Cells(AxisCells<'a>),
+    Leaves(LeafRows),
+}
+
+impl<'a> Occupied<'a> {
+    /// By runs of cells where they are there, else by leaves.
+    pub fn new(
+        classification: &'a Classification,
+        encodings: Option<&'a Encodings>,
+        factorization: &Factorization,
+    ) -> Self {
+        match encodings.and_then(Encodings::cells) {
+            Some(cells) => Self::Cells(cells.for_axis(factorization.principal_axis)),
+            None => Self::Leaves(LeafRows::new(classification.occupied(), factorization)),
+        }
+    }
+
+    /// The cells from voxel scanline `j` to `j + 1` and from slice `k` to `k + 1`, i ascending.
+    #[inline(always)]
+    pub fn scanline(&self, j: usize, k: usize) -> &[u64] {
+        match self {
+            Self::Cells(cells) => cells.scanline(j, k),
+            Self::Leaves(leaves) => leaves.scanline(j, k),
+        }
+    }
+}
+
+/// The leaves' flags, a bit for each voxel (or cell) of a scanline, by rows of leaves.
+#[derive(Clone, Debug)]
+pub struct LeafRows {
+    bits: Vec<u64>,
+    words: usize,
+    /// Rows of leaves in a slice of leaves.
+    rows: usize,
+    /// Voxels along j and k.
+    dims: [usize; 2],
+}
+
+impl LeafRows {
+    /// From a flag for each leaf of the octree, x fastest.
+    pub fn new(occupied: &[bool], factorization: &Factorization) -> Self {
+        let [ni, nj, nk] = factorization.dims;
+        let permutation = PERMUTATIONS[factorization.principal_axis];
+        let mut strides = [0; 3];
+        let mut stride = 1;
+        for axis in 0..3 {
+            let place = permutation.iter().position(|&a| a == axis).expect("a permutation of the axes");
+            strides[place] = stride;
+            stride *= leaves_along(factorization.dims[place]);
+        }
+        let (rows, words) = (leaves_along(nj), words(ni));
+        let mut bits = vec![0; rows * leaves_along(nk) * words];
+        for (row, bits) in bits.chunks_exact_mut(words).enumerate() {
+            let first = row % rows * strides[1] + row / rows * strides[2];
+            let last = leaves_along(ni) - 1;
+            for leaf in (0..=last).filter(|leaf| occupied[first + leaf * strides[0]]) {
+                // Eight voxels; the last leaf has the scanline's last voxel besides.
+                bits[leaf * LEAF / WORD] |= 0xff << (leaf * LEAF % WORD);
+                if leaf == last {
+                    bits[(ni - 1) / WORD] |= 1 << ((ni - 1) % WORD);
+                }
+            }
+        }
+        Self { bits, words, rows, dims: [nj, nk] }
+    }
+
+    /// The voxels (or cells) of scanline `j` of slice `k`. Bits past the scanline's end may be set.
+    #[inline(always)]
+    pub fn scanline(&self, j: usize, k: usize) -> &[u64] {
+        let row = leaf_of(k, self.dims[1]) * self.rows + leaf_of(j, self.dims[0]);
+        &self.bits[row * self.words..][..self.words]
+    }
+}

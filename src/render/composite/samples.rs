@@ -1,0 +1,362 @@
+//! Slices of voxels -> samples on the pixels of a scanline: what slabs are looked up by.
+//!
+//! A sample is what is interpolated between voxels: the scalar, and, where shading asks for it, a factor on
+//! the colour and an addend, where the transfer function asks for it, the gradient opacity. Each is a
+//! component of a [`Vec4`], so that all are resampled at once. (Which of the two light terms a slab
+//! of two samples has is left to it.) Voxels are read, and shaded, in blocks of eight, once for as
+//! long as their scanline is in a row buffer, and only where a pixel asks.
+//!
+//! Interpolation is `a + (b - a) f`, which between two equal scalars is that scalar: what lies within a
+//! range stays within it, so that slabs over transparent ranges stay exactly zero. First down a
+//! column of two voxels, then along the row, where each column serves two pixels.
+
+use glam::{DMat3, Vec3, Vec4};
+
+use super::WORD;
+use super::mask::{Mask, Runs};
+use crate::classify::TransferFunction;
+use crate::classify::preintegration::Slabs;
+use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
+use crate::volume::Volume;
+use crate::volume::gradient::{Code, GradientFrame, encode_normal, gradient_at};
+use crate::volume::scanlines::Scanlines;
+
+/// Voxels that are read at once.
+const BLOCK: usize = 8;
+
+/// A volume's voxels as one principal axis walks them, to be sampled.
+#[derive(Clone, Copy, Debug)]
+pub struct VoxelRows<'a, T> {
+    scanlines: Scanlines<'a, T>,
+    volume: &'a Volume,
+    /// Voxels along i, j, k.
+    dims: [usize; 3],
+    /// The volume's axes that i, j, k stand for.
+    permutation: [usize; 3],
+    frame: GradientFrame,
+    /// Factor and addend by code of the normal; empty where nothing is shaded.
+    shades: &'a [[f32; 2]],
+    gradient_opacity: Option<&'a TransferFunction>,
+}
+
+impl<'a, T: Code> VoxelRows<'a, T> {
+    /// `scanlines` are those of the factorization's principal axis.
+    pub fn new(
+        scanlines: Scanlines<'a, T>,
+        volume: &'a Volume,
+        factorization: &Factorization,
+        shades: &'a [[f32; 2]],
+        transfer: &'a TransferFunction,
+    ) -> Self {
+        Self {
+            scanlines,
+            volume,
+            dims: factorization.dims,
+            permutation: PERMUTATIONS[factorization.principal_axis],
+            frame: GradientFrame::new(volume.placement(), volume.rescale().0),
+            shades,
+            gradient_opacity: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
+        }
+    }
+
+    /// True where samples have light.
+    #[inline(always)]
+    pub fn is_lit(&self) -> bool {
+        !self.shades.is_empty()
+    }
+
+    /// Samples at eight voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
+    /// its last voxel is repeated.
+    #[inline(always)]
+    pub fn block(&self, j: usize, k: usize, first: usize) -> [Vec4; BLOCK] {
+        let codes = eight(self.scanlines.row(j, k), first);
+        let (mut factor, mut addend, mut density) = ([1.0; BLOCK], [0.0; BLOCK], [1.0; BLOCK]);
+        if self.is_lit() {
+            let normals = self.normals(j, k, first);
+            for n in 0..BLOCK {
+                [factor[n], addend[n]] = self.shades[usize::from(normals[n])];
+            }
+        }
+        if let Some(transfer) = self.gradient_opacity {
+            for (n, density) in density.iter_mut().enumerate() {
+                *density = self.gradient_factor(transfer, [(first + n).min(self.dims[0] - 1), j, k]);
+            }
+        }
+        let mut samples = [Vec4::ZERO; BLOCK];
+        for n in 0..BLOCK {
+            samples[n] = Vec4::new(codes[n], factor[n], addend[n], density[n]);
+        }
+        samples
+    }
+
+    /// Codes of the normals of eight voxels.
+    #[inline(always)]
+    fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
+        let [_, nj, nk] = self.dims;
+        let row = self.scanlines.row(j, k);
+        let neighbour = |j: usize, k: usize| eight(self.scanlines.row(j, k), first);
+        let (before_j, after_j) = (neighbour(j.saturating_sub(1), k), neighbour((j + 1).min(nj - 1), k));
+        let (before_k, after_k) = (neighbour(j, k.saturating_sub(1)), neighbour(j, (k + 1).min(nk - 1)));
+        let (before_i, after_i) = around(row, first);
+        let mut differences = [[0.0; BLOCK]; 3];
+        for n in 0..BLOCK {
+            differences[0][n] = after_i[n] - before_i[n];
+            differences[1][n] = after_j[n] - before_j[n];
+            differences[2][n] = after_k[n] - before_k[n];
+        }
+        // In the volume's own order, so that sums round as they do there.
+        let mut along = [[0.0; BLOCK]; 3];
+        for (n, axis) in self.permutation.into_iter().enumerate() {
+            along[axis] = differences[n];
+        }
+        turn(&mut along, self.frame.frame_from_differences, self.frame.diagonal);
+        let mut normals = [0; BLOCK];
+        for n in 0..BLOCK {
+            normals[n] = encode_normal(along[0][n], along[1][n], along[2][n]);
+        }
+        normals
+    }
+
+    /// The gradient opacity of voxel (i, j, k), 0..=1 in steps of 1/255.
+    fn gradient_factor(&self, transfer: &TransferFunction, at: [usize; 3]) -> f32 {
+        let mut index = [0; 3];
+        for (axis, at) in self.permutation.into_iter().zip(at) {
+            index[axis] = at;
+        }
+        let magnitude = gradient_at(self.volume, &self.frame, index).length();
+        (transfer.gradient_factor(magnitude) * 255.0).round() as f32 / 255.0
+    }
+}
+
+/// Differences of codes -> components of the gradient in the frame.
+#[inline(always)]
+fn turn(along: &mut [[f32; BLOCK]; 3], frame_from_differences: DMat3, diagonal: bool) {
+    let m = frame_from_differences.as_mat3();
+    let [x, y, z] = along;
+    if diagonal {
+        for n in 0..BLOCK {
+            x[n] *= m.x_axis.x;
+            y[n] *= m.y_axis.y;
+            z[n] *= m.z_axis.z;
+        }
+    } else {
+        for n in 0..BLOCK {
+            [x[n], y[n], z[n]] = (m * Vec3::new(x[n], y[n], z[n])).to_array();
+        }
+    }
+}
+
+/// Eight codes from `first` on, the last one repeated.
+#[inline(always)]
+fn eight<T: Code>(row: &[T], first: usize) -> [f32; BLOCK] {
+    let mut codes = [0.0; BLOCK];
+    if let Some(whole) = row.get(first..first + BLOCK) {
+        for n in 0..BLOCK {
+            codes[n] = whole[n].as_f32();
+        }
+    } else {
+        for (n, code) in codes.iter_mut().enumerate() {
+            *code = row[(first + n).min(row.len() - 1)].as_f32();
+        }
+    }
+    codes
+}
+
+/// The codes before and after each of eight, indices clamped at the scanline's ends.
+#[inline(always)]
+fn around<T: Code>(row: &[T], first: usize) -> ([f32; BLOCK], [f32; BLOCK]) {
+    if first > 0 && first + BLOCK < row.len() {
+        return (eight(row, first - 1), eight(row, first + 1));
+    }
+    let (mut before, mut after) = ([0.0; BLOCK], [0.0; BLOCK]);
+    for n in 0..BLOCK {
+        before[n] = row[(first + n).saturating_sub(1).min(row.len() - 1)].as_f32();
+        after[n] = row[(first + n + 1).min(row.len() - 1)].as_f32();
+    }
+    (before, after)
+}
+
+/// Where a slice of samples lies: on a slice of voxels or between two.
+#[derive(Clone, Copy, Debug)]
+pub struct Position {
+    pub placement: SlicePlacement,
+    /// Slice of voxels at or before it, in the order of the walk.
+    pub near: usize,
+    /// The slice after it and how far towards it, 0..1; `None` on a slice of voxels.
+    pub far: Option<(usize, f32)>,
+}
+
+impl Position {
+    /// The samples of step `n`, where `steps` lead from a slice of voxels to the next.
+    pub fn new(factorization: &Factorization, n: usize, steps: usize) -> Self {
+        let last = factorization.dims[2] - 1;
+        let stored = |slice: usize| if factorization.reversed { last - slice } else { slice };
+        let (slice, part) = (n / steps, n % steps);
+        let fraction = part as f64 / steps as f64;
+        Self {
+            placement: factorization.placement(along(factorization, n as f64, steps)),
+            near: stored(slice),
+            far: (part > 0).then(|| (stored(slice + 1), fraction as f32)),
+        }
+    }
+}
+
+/// The position along k of step `n`, where `steps` lead from a slice of voxels to the next.
+pub fn along(factorization: &Factorization, n: f64, steps: usize) -> f64 {
+    let at = n / steps as f64;
+    if factorization.reversed { (factorization.dims[2] - 1) as f64 - at } else { at }
+}
+
+/// A voxel scanline as samples. Voxel i is at i + 1: the scanline's ends are repeated once.
+#[derive(Debug)]
+struct Row {
+    j: Option<usize>,
+    voxels: Vec<Vec4>,
+    /// Blocks that are there.
+    fetched: Vec<bool>,
+}
+
+impl Row {
+    fn new(length: usize) -> Self {
+        let blocks = length.div_ceil(BLOCK);
+        Self { j: None, voxels: vec![Vec4::ZERO; blocks * BLOCK + 2], fetched: vec![false; blocks] }
+    }
+
+    /// Reads voxels `first..=last` of scanline `j` of slice `k`, which the row is for.
+    #[inline(always)]
+    fn fetch<T: Code>(&mut self, rows: &VoxelRows<'_, T>, j: usize, k: usize, first: usize, last: usize) {
+        for block in first / BLOCK..=last / BLOCK {
+            if !self.fetched[block] {
+                self.fetched[block] = true;
+                let at = block * BLOCK;
+                let samples = rows.block(j, k, at);
+                self.voxels[at + 1..][..BLOCK].copy_from_slice(&samples);
+                if block == 0 {
+                    self.voxels[0] = samples[0];
+                }
+                let end = rows.dims[0];
+                if at + BLOCK >= end {
+                    self.voxels[end + 1] = self.voxels[end];
+                }
+            }
+        }
+    }
+}
+
+/// The two scanlines of a slice of voxels that a scanline of pixels gathers from.
+#[derive(Debug)]
+struct RowPair {
+    rows: [Row; 2],
+    k: usize,
+}
+
+impl RowPair {
+    fn new(length: usize) -> Self {
+        Self { rows: [Row::new(length), Row::new(length)], k: usize::MAX }
+    }
+
+    /// Makes the rows those of scanlines `upper` and `lower` of slice `k`; gives where they are.
+    #[inline(always)]
+    fn enter(&mut self, upper: usize, lower: usize, k: usize) -> [usize; 2] {
+        if self.k != k {
+            self.k = k;
+            self.rows[0].j = None;
+            self.rows[1].j = None;
+        }
+        let place = |rows: &[Row; 2], j: usize| (0..2).find(|&at| rows[at].j == Some(j));
+        let at_upper = place(&self.rows, upper);
+        let at_lower = place(&self.rows, lower);
+        match (at_upper, at_lower) {
+            (Some(a), Some(b)) => [a, b],
+            (Some(a), None) => [a, self.replace(1 - a, lower)],
+            (None, Some(b)) => [self.replace(1 - b, upper), b],
+            (None, None) => {
+                let a = self.replace(0, upper);
+                if lower == upper { [a, a] } else { [a, self.replace(1, lower)] }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn replace(&mut self, at: usize, j: usize) -> usize {
+        self.rows[at].j = Some(j);
+        self.rows[at].fetched.fill(false);
+        at
+    }
+}
+
+/// Row buffers for slices of samples.
+#[derive(Debug)]
+pub struct SampleRows {
+    near: RowPair,
+    far: RowPair,
+}
+
+impl SampleRows {
+    /// For scanlines of `length` voxels.
+    pub fn new(length: usize) -> Self {
+        Self { near: RowPair::new(length), far: RowPair::new(length) }
+    }
+
+    /// Samples the pixels of `mask`, which lie on the slice or less than a pixel beside it, on scanline `v`.
+    /// Pixel u goes to `out[u - base]`.
+    #[inline(always)]
+    pub fn sample<T: Code, S: Slabs>(
+        &mut self,
+        voxels: &VoxelRows<'_, T>,
+        table: S,
+        position: &Position,
+        v: usize,
+        mask: &Mask,
+        (out, base): (&mut [Vec4], isize),
+    ) {
+        let SlicePlacement { first, fraction } = position.placement;
+        let last = voxels.dims.map(|n| n - 1);
+        // From -1: slices are continued by their borders.
+        let upper = (v + 1).saturating_sub(first[1] + 1).min(last[1]);
+        let lower = (v + 1 - first[1]).min(last[1]);
+        let lower = if fraction[1] > 0.0 { lower } else { upper };
+        let at_near = self.near.enter(upper, lower, position.near);
+        let at_far = position.far.map(|(k, part)| (self.far.enter(upper, lower, k), k, part));
+        for (u, length) in Runs::new(mask) {
+            let start = u + 1 - first[0];
+            let (from, to) = (start.saturating_sub(1), (start + length - 1).min(last[0]));
+            let out = &mut out[(u as isize - base) as usize..][..length];
+            for (at, j) in at_near.into_iter().zip([upper, lower]) {
+                self.near.rows[at].fetch(voxels, j, position.near, from, to);
+            }
+            let rows = at_near.map(|at| &self.near.rows[at].voxels[start..][..length + 1]);
+            resample(rows, fraction, out);
+            if let Some((at_far, k, part)) = at_far {
+                for (at, j) in at_far.into_iter().zip([upper, lower]) {
+                    self.far.rows[at].fetch(voxels, j, k, from, to);
+                }
+                let mut beyond = [Vec4::ZERO; WORD];
+                let rows = at_far.map(|at| &self.far.rows[at].voxels[start..][..length + 1]);
+                resample(rows, fraction, &mut beyond[..length]);
+                for (near, far) in out.iter_mut().zip(beyond) {
+                    *near += (far - *near) * part;
+                }
+            }
+            for sample in out {
+                *sample = sample.with_x(table.coordinate(sample.x));
+            }
+        }
+    }
+}
+
+/// Interpolates between two rows, of one voxel more than there are pixels.
+#[inline(always)]
+fn resample([upper, lower]: [&[Vec4]; 2], [fu, fv]: [f32; 2], out: &mut [Vec4]) {
+    let mut left = lerp(upper[0], lower[0], fv);
+    for ((out, upper), lower) in out.iter_mut().zip(&upper[1..]).zip(&lower[1..]) {
+        let right = lerp(*upper, *lower, fv);
+        *out = lerp(left, right, fu);
+        left = right;
+    }
+}
+
+#[inline(always)]
+pub fn lerp(a: Vec4, b: Vec4, f: f32) -> Vec4 {
+    a + (b - a) * f
+}

@@ -1,0 +1,164 @@
+//! The kernel of single voxels: each slice's voxels, shaded and resampled, "over" what is in front.
+//!
+//! For a scanline of a slice:
+//!
+//! 1. *Which pixels?* The runs of the two voxel scanlines that the pixels gather from are marked
+//!    as bits; a pixel needs work if a voxel it touches is marked and it is not opaque itself. That
+//!    is a union, a shift and an intersection of machine words (`spans.rs`).
+//! 2. *Shade* the voxels those pixels touch into a row buffer, each once: the lower scanline of
+//!    one pixel row is the upper one of the next (`rows.rs`).
+//! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
+//!    opaque pixel's bit is cleared.
+
+use glam::Vec4;
+
+use super::rows::RowBuffers;
+use super::spans::Spans;
+use super::{CANCEL_STEP, Composite, WORD, clear_bits, first_run, over, run_mask};
+use crate::classify::rle::AxisEncoding;
+use crate::render::factorization::{Factorization, SlicePlacement};
+use crate::render::intermediate::{Band, ScanlineMut};
+use crate::render::material::Material;
+use crate::render::{Cancel, RenderError};
+
+/// What the bands of a frame share.
+#[derive(Debug)]
+pub struct Voxels<'a, const LIT: bool, const FACTORED: bool> {
+    pub encoding: AxisEncoding<'a>,
+    pub factorization: &'a Factorization,
+    pub material: Material<'a, LIT, FACTORED>,
+    /// Accumulated opacity at which a pixel is done.
+    pub opaque: f32,
+    pub cancel: &'a Cancel,
+}
+
+impl<const LIT: bool, const FACTORED: bool> Composite for Voxels<'_, LIT, FACTORED> {
+    type Scratch = (RowBuffers, Spans);
+
+    fn scratch(&self, _: usize) -> Self::Scratch {
+        (RowBuffers::new(self.factorization.dims[0]), Spans::new(self.factorization.dims[0]))
+    }
+
+    #[inline(always)]
+    fn band(&self, band: &mut Band<'_>, (rows, spans): &mut Self::Scratch) -> Result<(), RenderError> {
+        let slices = self.factorization.dims[2];
+        for step in 0..slices {
+            if step % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
+                return Err(RenderError::Cancelled);
+            }
+            let k = if self.factorization.reversed { slices - 1 - step } else { step };
+            self.slice(band, k, rows, spans);
+        }
+        Ok(())
+    }
+}
+
+impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
+    /// One slice into one band.
+    #[inline(always)]
+    fn slice(&self, band: &mut Band<'_>, k: usize, rows: &mut RowBuffers, spans: &mut Spans) {
+        let placement = self.factorization.slice(k);
+        let [fraction_u, fraction_v] = placement.fraction;
+        let material = self.material.slice(self.factorization.is_outermost(k));
+        // Pixels between the slice's first and last voxel scanline: nothing lies outside the box.
+        let last = self.factorization.dims[1] - 1 - usize::from(fraction_v > 0.0);
+        let first_row = placement.first[1].saturating_sub(band.first);
+        let end_row = (placement.first[1] + last + 1).saturating_sub(band.first).min(band.height());
+        let weights = Weights::new(fraction_u, fraction_v);
+        rows.next_slice();
+        for row in first_row..end_row {
+            let v = band.first + row;
+            let j = v - placement.first[1];
+            let has_lower = fraction_v > 0.0;
+            if self.encoding.is_empty(j, k) && !(has_lower && !self.encoding.is_empty(j + 1, k)) {
+                continue;
+            }
+            let upper = self.encoding.scanline(j, k);
+            let lower = has_lower.then(|| self.encoding.scanline(j + 1, k));
+            rows.enter(j, &upper, lower.as_ref());
+            let mut scanline = band.scanline(row);
+            spans.find(rows, &scanline, placement.first[0], fraction_u > 0.0);
+            if !self.factorization.clip.is_empty() {
+                let visible = self.factorization.visible_pixels(v, k as f64);
+                spans.clip(visible, placement.first[0]);
+            }
+            if spans.is_empty() {
+                continue;
+            }
+            rows.shade(&upper, lower.as_ref(), spans, material);
+            self.blend(&mut scanline, &placement, rows, spans, &weights);
+        }
+    }
+
+    /// Resamples the row buffers at the spans' pixels and blends behind what is there.
+    #[inline(always)]
+    fn blend(
+        &self,
+        scanline: &mut ScanlineMut<'_>,
+        placement: &SlicePlacement,
+        rows: &RowBuffers,
+        spans: &Spans,
+        weights: &Weights,
+    ) {
+        for (word, &bits) in spans.pixels().iter().enumerate() {
+            let mut bits = bits;
+            while bits != 0 {
+                let (start, length) = first_run(bits);
+                bits &= !run_mask(start, length);
+                let i = word * WORD + start;
+                let u = i + placement.first[0];
+                let (upper, lower) = rows.voxels(i, length + 1);
+                let pixels = &mut scanline.pixels[u..u + length];
+                let opaque = if rows.has_lower() {
+                    blend_run::<true>(pixels, upper, lower, weights, self.opaque)
+                } else {
+                    blend_run::<false>(pixels, upper, lower, weights, self.opaque)
+                };
+                if opaque != 0 {
+                    clear_bits(scanline.non_opaque, u, opaque);
+                }
+            }
+        }
+    }
+}
+
+/// Bilinear weights of the four voxels around a pixel, the same for all of a slice.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Weights {
+    upper: [f32; 2],
+    lower: [f32; 2],
+}
+
+impl Weights {
+    #[inline(always)]
+    pub(super) fn new(fraction_u: f32, fraction_v: f32) -> Self {
+        let along = [1.0 - fraction_u, fraction_u];
+        Self { upper: along.map(|w| w * (1.0 - fraction_v)), lower: along.map(|w| w * fraction_v) }
+    }
+
+    /// The resampled value between two voxels of the upper and two of the lower scanline.
+    #[inline(always)]
+    pub(super) fn sample<const LOWER: bool>(&self, upper: [Vec4; 2], lower: [Vec4; 2]) -> Vec4 {
+        let above = upper[0] * self.upper[0] + upper[1] * self.upper[1];
+        if LOWER { above + (lower[0] * self.lower[0] + lower[1] * self.lower[1]) } else { above }
+    }
+}
+
+/// Blends consecutive pixels; gives the mask of those that became opaque.
+#[inline(always)]
+fn blend_run<const LOWER: bool>(
+    pixels: &mut [Vec4],
+    upper: &[Vec4],
+    lower: &[Vec4],
+    weights: &Weights,
+    opaque: f32,
+) -> u64 {
+    let mut done = 0;
+    let voxels = upper.windows(2).zip(lower.windows(2));
+    for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
+        let sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
+        *pixel = over(*pixel, sample);
+        done |= u64::from(pixel.w >= opaque) << at;
+    }
+    done
+}

@@ -1,0 +1,94 @@
+//! The pass of slabs: which table the options ask for, and the kernel's type parameters.
+
+use std::time::Instant;
+
+use super::{Begun, Pass};
+use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
+use crate::render::composite::occupied::Occupied;
+use crate::render::composite::samples::VoxelRows;
+use crate::render::composite::slabs::SlabComposite;
+use crate::render::intermediate::IntermediateImage;
+use crate::render::shade::ShadingTable;
+use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, Scaled};
+use crate::render::{Lookup, OpacityCorrection, RenderError};
+use crate::volume::gradient::Code;
+use crate::volume::scanlines::{AnyScanlines, Scanlines};
+
+impl Pass<'_> {
+    /// Composites slabs into `image`.
+    pub(super) fn slabs(&self, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
+        let options = &self.settings.preintegration;
+        let volume = self.scene.prepared.volume();
+        let distance = volume.placement().spacing[self.factorization.principal_axis];
+        let view_length = self.factorization.slice_distance;
+        // The length that slabs are made for, and the view's in units of it.
+        let (made_for, length) = match options.opacity_correction {
+            OpacityCorrection::View => (view_length, 1.0),
+            OpacityCorrection::Lookup => (distance, view_length / distance),
+            OpacityCorrection::Off => (distance, 1.0),
+        };
+        let scaled = !self.scene.transfer.gradient_opacity.is_empty();
+        let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
+        let tables = self.classification.slabs().expect("the classification is of slabs");
+        let making = Instant::now();
+        let table = tables.table(form, (made_for / options.samples_per_voxel as f64) as f32);
+        let preintegration_table = making.elapsed();
+        let begun = match options.lookup {
+            Lookup::Nearest => self.with_table(Nearest(&table), scaled, length, image),
+            Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
+        }?;
+        Ok(Begun { preintegration_table, ..begun })
+    }
+
+    fn with_table<S: Slabs>(
+        &self,
+        table: S,
+        scaled: bool,
+        length: f64,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        if scaled {
+            self.with_correction(table, Scaled { length: length as f32 }, image)
+        } else if length == 1.0 {
+            self.with_correction(table, AsItIs, image)
+        } else {
+            self.with_correction(table, LookedUp(&OpacityCorrectionTable::new(length)), image)
+        }
+    }
+
+    fn with_correction<S: Slabs, C: Correction>(
+        &self,
+        table: S,
+        correction: C,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        match self.scene.prepared.scanlines(self.factorization.principal_axis) {
+            AnyScanlines::U8(scanlines) => self.with_scanlines(table, correction, scanlines, image),
+            AnyScanlines::U16(scanlines) => self.with_scanlines(table, correction, scanlines, image),
+        }
+    }
+
+    fn with_scanlines<S: Slabs, C: Correction, T: Code>(
+        &self,
+        table: S,
+        correction: C,
+        scanlines: Scanlines<'_, T>,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        let Self { scene, factorization, settings, .. } = *self;
+        let shades = self.shading.map_or(&[][..], ShadingTable::entries);
+        let composite = SlabComposite {
+            factorization,
+            voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, shades, scene.transfer),
+            occupied: Occupied::new(self.classification, scene.encodings, factorization),
+            table,
+            correction,
+            cue: self.cue,
+            steps: settings.preintegration.samples_per_voxel,
+            buffer: settings.preintegration.buffer,
+            opaque: settings.early_ray_termination,
+            cancel: self.cancel,
+        };
+        self.run(&composite, image)
+    }
+}
