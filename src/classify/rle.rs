@@ -21,7 +21,7 @@
 mod encode;
 
 pub use super::marks::WORD;
-use super::marks::words;
+use super::marks::{turn, words};
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
 use crate::volume::PreparedVolume;
@@ -160,21 +160,23 @@ impl RunLengthVolume {
     /// Of the planes of both orders.
     pub(super) fn new(dims: [usize; 3], along_x: Vec<Plane>, along_y: Vec<Plane>) -> Self {
         let [nx, ny, nz] = dims;
-        let has_voxels = |plane: &Plane, row: usize| plane.starts[row] < plane.starts[row + 1];
-        let filled = |[scanlines, slices]: [usize; 2], has_voxels: &dyn Fn(usize, usize) -> bool| {
-            let mut filled = vec![0; words(scanlines) * slices];
-            for (k, slice) in filled.chunks_exact_mut(words(scanlines)).enumerate() {
-                for j in 0..scanlines {
-                    slice[j / WORD] |= u64::from(has_voxels(j, k)) << (j % WORD);
+        // A row for each plane, a bit for each of its rows; where planes are scanline positions, turned.
+        let rows = |planes: &[Plane], rows: usize| {
+            let mut filled = vec![0; words(rows) * nz];
+            for (plane, filled) in planes.iter().zip(filled.chunks_exact_mut(words(rows))) {
+                for (row, ends) in plane.starts.windows(2).enumerate() {
+                    filled[row / WORD] |= u64::from(ends[0] < ends[1]) << (row % WORD);
                 }
             }
             filled
         };
-        let filled = [
-            filled([nz, nx], &|j, k| has_voxels(&along_y[j], k)),
-            filled([nz, ny], &|j, k| has_voxels(&along_x[j], k)),
-            filled([ny, nz], &|j, k| has_voxels(&along_x[k], j)),
-        ];
+        let turned = |filled: &[u64], rows: usize| {
+            let mut turned = vec![0; words(nz) * rows];
+            turn(filled, [rows, nz], &mut turned);
+            turned
+        };
+        let (by_y, by_x) = (rows(&along_x, ny), rows(&along_y, nx));
+        let filled = [turned(&by_x, nx), turned(&by_y, ny), by_y];
         Self { dims, along_x, along_y, filled }
     }
 

@@ -35,7 +35,7 @@ pub const NORMAL_CODES: usize = NORMAL_STEPS * NORMAL_STEPS + 1;
 const _: () = assert!(NORMAL_CODES <= 1 << 15, "a voxel keeps its normal in 15 bits");
 
 /// One code of 8 or 16 bits.
-pub trait Code: Copy + Ord + Default + Send + Sync + Into<u16> + 'static {
+pub trait Code: bytemuck::Pod + Ord + Default + Send + Sync + Into<u16> {
     /// The largest that the type holds.
     const MAX: Self;
 
