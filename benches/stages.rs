@@ -1,9 +1,16 @@
 //! The stages before a frame, by the papers' words: gradients, octree, summed-area table and run
 //! lengths; and the encoding of the finished picture after it.
 
+use std::hint::black_box;
+
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use glam::Vec4;
+use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, SlabTables, Slabs};
 use shearwarp::classify::summed_area::SummedAreaTable;
-use shearwarp::classify::{CellRuns, Classification, CodeTables, Encodings, Purpose, RunLengthVolume, presets};
+use shearwarp::classify::{
+    CellRuns, Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction,
+    presets,
+};
 use shearwarp::encode::{Format, encode};
 use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Quality, Scene, Settings, View, render};
 use shearwarp::volume::{PreparedVolume, phantom};
@@ -54,5 +61,54 @@ fn stages(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, stages);
+/// Tables of slabs, and reading them: for 8-bit codes, one entry each, and for 12-bit ones.
+fn preintegration(criterion: &mut Criterion) {
+    for bits in [8, 12] {
+        let last = f64::from((1 << bits) - 1);
+        let volume = phantom::from_fn([2; 3], [1.0; 3], |i, j, k| last * ((i + j + k) / 3) as f64);
+        let point = |share: f64, opacity, color| ControlPoint { value: share * last, opacity, color: Color(color) };
+        let transfer = TransferFunction {
+            points: vec![
+                point(0.15, 0.0, [0.5, 0.5, 0.6]),
+                point(0.25, 0.03, [0.6, 0.65, 0.8]),
+                point(0.55, 0.06, [0.8, 0.85, 1.0]),
+                point(0.7, 0.2, [1.0, 0.7, 0.2]),
+                point(1.0, 0.9, [1.0, 0.5, 0.1]),
+            ],
+            opacity_distance: None,
+            gradient_opacity: vec![],
+        };
+        criterion.bench_function(&format!("preintegration_table/{bits} bits, any length"), |b| {
+            b.iter(|| SlabTables::new(&volume, &transfer, 256));
+        });
+        criterion.bench_function(&format!("preintegration_table/{bits} bits, a length"), |b| {
+            b.iter_batched_ref(
+                || SlabTables::new(&volume, &transfer, 256),
+                |tables| tables.table(Form::Opacity, 1.0),
+                BatchSize::LargeInput,
+            );
+        });
+        let table = SlabTables::new(&volume, &transfer, 256).table(Form::Opacity, 1.0);
+        // Scalars as a volume has them: most slabs are nearly of one scalar.
+        let codes: Vec<f32> = (0..4096)
+            .map(|n| {
+                let t = n as f32 * 0.01;
+                (0.5 + 0.4 * (t.sin() + 0.1 * (37.0 * t).sin())) * last as f32
+            })
+            .collect();
+        fn read(table: impl Slabs, codes: &[f32]) -> Vec4 {
+            codes
+                .windows(2)
+                .fold(Vec4::ZERO, |sum, ends| sum + table.slab(table.coordinate(ends[0]), table.coordinate(ends[1])))
+        }
+        criterion.bench_function(&format!("slab/{bits} bits, nearest, 4096"), |b| {
+            b.iter(|| read(Nearest(&table), black_box(&codes)))
+        });
+        criterion.bench_function(&format!("slab/{bits} bits, bilinear, 4096"), |b| {
+            b.iter(|| read(Bilinear(&table), black_box(&codes)))
+        });
+    }
+}
+
+criterion_group!(benches, stages, preintegration);
 criterion_main!(benches);

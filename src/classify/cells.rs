@@ -60,6 +60,12 @@ impl CellRuns {
         }
     }
 
+    /// What the runs of a volume of so many voxels take in memory, both orders.
+    pub(super) fn bytes_of(dims: [usize; 3]) -> u64 {
+        let [cx, cy, cz] = dims.map(|n| n - 1);
+        (cz * (cy * words(cx) + cx * words(cy)) * size_of::<u64>()) as u64
+    }
+
     /// The runs for a principal axis (0: x, 1: y, 2: z).
     pub fn for_axis(&self, axis: usize) -> AxisCells<'_> {
         let [nx, ny, _] = self.dims;

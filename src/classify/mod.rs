@@ -7,7 +7,7 @@
 //! of them, so a frame is never kept waiting for them.
 
 pub mod cells;
-mod marks;
+pub mod marks;
 pub mod preintegration;
 pub mod presets;
 pub mod rle;
@@ -20,6 +20,7 @@ use std::io::{self, Read, Write};
 use std::time::{Duration, Instant};
 
 use crate::volume::PreparedVolume;
+use crate::volume::octree::LEAF;
 pub use cells::CellRuns;
 use preintegration::SlabTables;
 pub use rle::RunLengthVolume;
@@ -124,6 +125,24 @@ impl Encodings {
         }
     }
 
+    /// What [`Self::build`] can take in memory at most, told without building.
+    pub fn bytes_at_most(prepared: &PreparedVolume, classification: &Classification) -> u64 {
+        let dims = prepared.volume().dims();
+        match classification.purpose {
+            Purpose::Slabs { .. } => CellRuns::bytes_of(dims),
+            Purpose::Voxels { .. } => {
+                let leaves @ [lx, ly, _] = prepared.octree().leaf_dims();
+                // The last leaf along an axis has what is left.
+                let side = |axis: usize, at: usize| {
+                    if at + 1 < leaves[axis] { LEAF } else { dims[axis] - at * LEAF }
+                };
+                let voxels = |at: usize| side(0, at % lx) * side(1, at / lx % ly) * side(2, at / (lx * ly));
+                let occupied = classification.occupied.iter().enumerate().filter(|(_, occupied)| **occupied);
+                RunLengthVolume::bytes_at_most(dims, occupied.map(|(at, _)| voxels(at) as u64).sum())
+            }
+        }
+    }
+
     /// The encodings of voxels, where that is what they are of.
     pub fn voxels(&self) -> Option<&RunLengthVolume> {
         match self {
@@ -183,5 +202,39 @@ impl Encodings {
             Purpose::Voxels { .. } => Self::Voxels(serial::read(prepared.volume(), with_factors, input)?),
             Purpose::Slabs { .. } => Self::Cells(serial::read_cells(prepared.volume(), input)?),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::phantom;
+
+    /// Opacity over a ramp between two values, scaled by the gradient or not.
+    fn ramp(from: f64, to: f64, gradients: &[(f64, f64)]) -> TransferFunction {
+        let point = |value, opacity| ControlPoint { value, opacity, color: Color([1.0; 3]) };
+        TransferFunction {
+            points: vec![point(from, 0.0), point(to, 0.5)],
+            opacity_distance: Some(1.0),
+            gradient_opacity: gradients.iter().map(|&(value, opacity)| GradientPoint { value, opacity }).collect(),
+        }
+    }
+
+    #[test]
+    fn encodings_take_no_more_than_was_told_before() {
+        let volumes =
+            [phantom::noise([70, 9, 10], 7), phantom::ball(33, 9.0, 200.0, 2.0), phantom::noise([3, 2, 130], 1)];
+        let transfers =
+            [ramp(0.0, 1.0, &[]), ramp(20_000.0, 40_000.0, &[]), ramp(50.0, 300.0, &[(0.0, 0.0), (9.0, 1.0)])];
+        for prepared in volumes.map(PreparedVolume::build) {
+            for transfer in &transfers {
+                for purpose in [Purpose::Voxels { min_opacity: 0.0 }, Purpose::Slabs { entries: 64 }] {
+                    let classification = Classification::build(&prepared, transfer, purpose);
+                    let told = Encodings::bytes_at_most(&prepared, &classification);
+                    let built = Encodings::build(&prepared, transfer, &classification).bytes();
+                    assert!(built <= told, "{purpose:?}: {built} > {told}");
+                }
+            }
+        }
     }
 }

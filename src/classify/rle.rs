@@ -180,6 +180,17 @@ impl RunLengthVolume {
         Self { dims, along_x, along_y, filled }
     }
 
+    /// What encoding so many voxels, those of the occupied leaves, can take in memory at most.
+    pub(super) fn bytes_at_most([nx, ny, nz]: [usize; 3], voxels: u64) -> u64 {
+        // A voxel and its factor take 5 bytes, a run 4. Of n voxels v are encoded in at most n - v runs and
+        // one for each word, so that both together take 5 n at most, besides those and the rows.
+        let order = |length: usize, rows: usize| {
+            let per_row = size_of::<[u32; 2]>() + length.div_ceil(WORD) * size_of::<Run>();
+            5 * voxels + ((rows * nz + nz) * per_row) as u64
+        };
+        order(nx, ny) + order(ny, nx)
+    }
+
     /// The encoding for a principal axis (0: x, 1: y, 2: z).
     pub fn for_axis(&self, axis: usize) -> AxisEncoding<'_> {
         let planes = if axis == 0 { &self.along_y } else { &self.along_x };

@@ -36,6 +36,9 @@ pub struct Arguments {
     /// Write the figures to this file
     #[arg(long, value_name = "OUT")]
     json: Option<PathBuf>,
+    /// Measure the papers' own tables on all scans of the folder VOLUME, and write them to this file
+    #[arg(long, value_name = "OUT", conflicts_with = "json")]
+    papers: Option<PathBuf>,
     #[command(flatten)]
     request: RequestArguments,
 }
@@ -85,6 +88,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         .num_threads(arguments.threads.unwrap_or(0) as usize)
         .build()
         .map_err(|error| Failure::Other(format!("threads: {error}")))?;
+    if let Some(out) = &arguments.papers {
+        return pool.install(|| super::papers::run(arguments.volume.path(), out));
+    }
     let report = pool.install(|| measure(arguments))?;
     if let Some(path) = &arguments.json {
         let json = serde_json::to_vec_pretty(&report).map_err(|error| Failure::Other(error.to_string()))?;

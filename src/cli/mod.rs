@@ -2,6 +2,7 @@
 
 mod bench;
 mod info;
+mod papers;
 mod render;
 mod scene;
 mod serve;

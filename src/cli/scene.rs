@@ -42,6 +42,11 @@ pub struct LoadedVolume {
 }
 
 impl VolumeArguments {
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.volume
+    }
+
     /// Reads the volume, and its modality where a `.json` beside it names one.
     pub fn load(&self) -> Result<LoadedVolume, Failure> {
         let progress = spinner("loading");

@@ -337,13 +337,7 @@ pub struct Scene<'a> {
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
     match settings.way(view) {
         Way::ImageOrder | Way::ShearImage => Ok(()),
-        Way::ShearWarp => match settings.algorithm {
-            Algorithm::FastClassification => Err(RenderError::Unsupported {
-                pointer: "/algorithm",
-                detail: format!("{} is not supported by this version", settings.algorithm.name()),
-            }),
-            _ => Factorization::new(view, volume).map(|_| ()),
-        },
+        Way::ShearWarp => Factorization::new(view, volume).map(|_| ()),
     }
 }
 

@@ -10,11 +10,12 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use xxhash_rust::xxh3::xxh3_128;
 
+use super::classified::ClassifiedKey;
 use super::error::Problem;
 use super::observe::Rendered;
 use super::render_pool::Ticket;
 use super::request::{RenderRequest, ResolvedRequest};
-use super::store::{ClassifiedKey, LoadedVolume};
+use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
 use crate::encode::{Format, encode};
 use crate::render::{self, Image, Scene, Timings};
@@ -152,7 +153,10 @@ impl Asked {
         let start = Instant::now();
         let classified = match ClassifiedKey::of(&self.frame) {
             None => None,
-            Some(made_from) => Some(app.store.classified(ticket, &self.volume, made_from).await?),
+            Some(made_from) => {
+                let encoded = self.frame.walks_encodings();
+                Some(app.store.classified.get(ticket, &self.volume, made_from, encoded).await?)
+            }
         };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);

@@ -14,8 +14,9 @@ use serde::Deserialize;
 use tokio::task::JoinSet;
 
 use super::App;
+use super::classified::ClassifiedKey;
 use super::request::RenderRequest;
-use super::store::{ClassifiedKey, Entry, LoadedVolume, Source};
+use super::store::{Entry, LoadedVolume, Source};
 use crate::volume::{Volume, decode, phantom};
 
 /// Why a folder cannot be served.
@@ -148,15 +149,21 @@ fn read(source: &Source, limits: &decode::Limits) -> Result<Volume, String> {
     }
 }
 
-/// Builds what the empty request needs, so that the first frame is as fast as the second.
+/// Builds what the empty request needs at every quality, so that the first frame is as fast as the
+/// second.
 async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
-    // The encodings do not depend on the image's size; one pixel is within any operator's limits.
-    let resolved = RenderRequest::from_json(br#"{"image": {"width": 1, "height": 1}}"#)
-        .and_then(|request| request.resolve(volume.volume(), &volume.presets, &app.config.image.limits()))
-        .map_err(|error| error.to_string())?;
-    if let Some(made_from) = ClassifiedKey::of(&resolved) {
-        let ticket = app.pool.own_work();
-        app.store.warm_up(&ticket, volume, made_from).await.map_err(|error| error.to_string())?;
+    let mut wanted = vec![];
+    for quality in ["standard", "draft", "high"] {
+        // What is classified does not depend on the image's size; one pixel is within any operator's limits.
+        let request = format!(r#"{{"image": {{"width": 1, "height": 1}}, "quality": "{quality}"}}"#);
+        let resolved = RenderRequest::from_json(request.as_bytes())
+            .and_then(|request| request.resolve(volume.volume(), &volume.presets, &app.config.image.limits()))
+            .map_err(|error| error.to_string())?;
+        wanted.extend(ClassifiedKey::of(&resolved).filter(|made_from| !wanted.contains(made_from)));
+    }
+    let ticket = app.pool.own_work();
+    for made_from in wanted {
+        app.store.classified.warm_up(&ticket, volume, made_from).await.map_err(|error| error.to_string())?;
     }
     Ok(())
 }

@@ -10,7 +10,7 @@ use std::time::Duration;
 use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
 use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
 
-use super::store::CacheSize;
+use super::classified::CacheSize;
 
 /// Upper bounds in seconds: 1 ms, where a cached draft frame is, to the deadline.
 const BUCKETS: &[f64] =
@@ -50,10 +50,12 @@ fn describe() {
     describe_gauge!("shearwarp_encodings", "Run-length encodings in memory");
     describe_gauge!("shearwarp_encodings_bytes", "Bytes of run-length encodings in memory");
     describe_gauge!("shearwarp_encodings_building", "Run-length encodings in the making");
+    describe_gauge!("shearwarp_encodings_building_bytes", "Bytes that the run-length encodings in the making may take");
     describe_gauge!("shearwarp_classifications_bytes", "Bytes of classification tables in memory");
     describe_counter!("shearwarp_encodings_hits_total", "Frames whose run-length encodings were in memory");
     describe_counter!("shearwarp_encodings_misses_total", "Frames that went through octree and table instead");
     describe_counter!("shearwarp_encodings_built_total", "Run-length encodings built");
+    describe_counter!("shearwarp_encodings_too_large_total", "Frames whose run-length encodings may not fit the cache");
     describe_counter!("shearwarp_cache_folder_total", "Look-ups in the cache folder by outcome: hit, absent, refused");
     describe_gauge!("shearwarp_volumes", "Volumes by status: ready, loading, failed");
     // Counters that stand at 0 are worth seeing: an alert on a missing series never fires.
@@ -105,6 +107,11 @@ pub fn encoded() {
     counter!("shearwarp_encodings_built_total").increment(1);
 }
 
+/// Encodings were not built because they may not fit.
+pub fn encodings_too_large() {
+    counter!("shearwarp_encodings_too_large_total").increment(1);
+}
+
 /// The cache folder was asked for an encoding.
 pub fn cache_folder(outcome: &'static str) {
     counter!("shearwarp_cache_folder_total", "outcome" => outcome).increment(1);
@@ -131,6 +138,7 @@ pub fn render(gauges: Gauges) -> String {
     gauge!("shearwarp_encodings").set(gauges.cache.encodings as f64);
     gauge!("shearwarp_encodings_bytes").set(gauges.cache.encoding_bytes as f64);
     gauge!("shearwarp_encodings_building").set(gauges.cache.building as f64);
+    gauge!("shearwarp_encodings_building_bytes").set(gauges.cache.building_bytes as f64);
     gauge!("shearwarp_classifications_bytes").set(gauges.cache.classification_bytes as f64);
     let (ready, loading, failed) = gauges.volumes;
     for (status, count) in [("ready", ready), ("loading", loading), ("failed", failed)] {

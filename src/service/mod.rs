@@ -1,11 +1,11 @@
 //! HTTP over the library; the only folder that knows tokio.
 //!
 //! One frame's way: [`router`] -> `frames` (parse the request; refuse here) -> `render_pool` (a
-//! place, or 503) -> `store` (the classified volume; on a miss one job builds it while others wait)
-//! -> render and encode on the pool -> headers. What can go wrong is in `error`, what an operator
+//! place, or 503) -> `classified` (tables; on a miss one job builds them while others wait) -> render and encode on the pool -> headers. What can go wrong is in `error`, what an operator
 //! may choose in [`config`], what is measured in `metrics`.
 
 mod cache_folder;
+mod classified;
 pub mod config;
 mod error;
 mod frames;
@@ -32,6 +32,7 @@ use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
 use cache_folder::CacheFolder;
+use classified::ClassifiedCache;
 use config::{Config, LogFormat};
 use render_pool::RenderPool;
 use store::Store;
@@ -86,7 +87,7 @@ impl Service {
         };
         let pool = RenderPool::new(&config.render)?;
         let retry_after = config.render.retry_after_seconds.get();
-        let store = Store::new(entries, config.cache.classified_bytes, folder, retry_after);
+        let store = Store::new(entries, ClassifiedCache::new(config.cache.classified_bytes, folder), retry_after);
         let failed = |error| ServeError::Listen { address: config.listen, error };
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;

@@ -9,6 +9,10 @@
 //! - The client leaves or the deadline passes: the awaiting future is dropped, which raises the
 //!   job's [`Cancel`] flag. Slot and place come back when the job has really ended.
 //! - The job panics: the panic is caught, counted and answered; the worker lives on.
+//!
+//! What is done behind the frames' backs runs on threads of its own: rayon's workers finish the pieces
+//! of a job before they look for another, so that on the frames' threads a frame would wait for
+//! nearly all of it. Those threads are nice (on Linux): they take what frames leave of the cores.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -36,6 +40,8 @@ pub enum PoolError {
 #[derive(Clone, Debug)]
 pub struct RenderPool {
     workers: Arc<ThreadPool>,
+    /// For work that nobody waits for.
+    behind: Arc<ThreadPool>,
     /// Places: requests that wait or run.
     places: Arc<Semaphore>,
     place_count: usize,
@@ -55,10 +61,16 @@ impl RenderPool {
             .num_threads(config.threads)
             .thread_name(|index| format!("render-{index}"))
             .build()?;
+        let behind = ThreadPoolBuilder::new()
+            .num_threads(config.threads)
+            .thread_name(|index| format!("behind-{index}"))
+            .start_handler(|_| give_way())
+            .build()?;
         let slot_count = config.jobs.get();
         let place_count = slot_count.saturating_add(config.queue).min(Semaphore::MAX_PERMITS);
         Ok(Self {
             workers: Arc::new(workers),
+            behind: Arc::new(behind),
             places: Arc::new(Semaphore::new(place_count)),
             place_count,
             slots: Arc::new(Semaphore::new(slot_count)),
@@ -79,9 +91,22 @@ impl RenderPool {
         Ok(Ticket { pool: self.clone(), place: Some(Arc::new(place)) })
     }
 
-    /// A ticket for the service's own work, which must not be refused.
+    /// A ticket for the service's own work at its start, which must not be refused.
     pub fn own_work(&self) -> Ticket {
         Ticket { pool: self.clone(), place: None }
+    }
+
+    /// Runs `job` behind the frames' backs: it takes no slot, and of the cores what frames
+    /// leave. It runs to its end whether or not the future is dropped.
+    ///
+    /// # Errors
+    /// [`PoolError::Panicked`].
+    pub async fn run_behind<T, F>(&self, job: F) -> Result<T, PoolError>
+    where
+        T: Send + 'static,
+        F: FnOnce() -> T + Send + 'static,
+    {
+        ended(spawn(&self.behind, (), job).await)
     }
 
     /// Jobs that run.
@@ -104,9 +129,9 @@ pub struct Ticket {
 }
 
 impl Ticket {
-    /// A ticket for work that no request waits for; the place is not kept.
-    pub fn without_place(&self) -> Ticket {
-        self.pool.own_work()
+    /// The pool that it is for.
+    pub fn pool(&self) -> &RenderPool {
+        &self.pool
     }
 
     /// Runs `job` on the pool and gives its result and the time that it waited for its turn.
@@ -125,26 +150,52 @@ impl Ticket {
 
         let cancel = Cancel::default();
         let mut guard = CancelOnDrop(Some(cancel.clone()));
-        let (sender, receiver) = oneshot::channel();
         let place = self.place.clone();
-        self.pool.workers.spawn(move || {
-            let result = catch_unwind(AssertUnwindSafe(|| job(&cancel)));
-            drop((slot, place));
-            // Nobody receives where the client has left; the result is then of no use.
-            let _ = sender.send(result);
-        });
-
-        let result = receiver.await;
+        let result = spawn(&self.pool.workers, (slot, place), move || job(&cancel)).await;
         guard.0 = None;
-        match result {
-            Ok(Ok(value)) => Ok((value, waited)),
-            Ok(Err(_)) | Err(_) => {
-                metrics::panicked();
-                Err(PoolError::Panicked)
-            }
-        }
+        Ok((ended(result)?, waited))
     }
 }
+
+/// The outcome of a job, once it is there.
+type Outcome<T> = oneshot::Receiver<std::thread::Result<T>>;
+
+/// Hands `job` to `workers`; `held` is dropped when it has ended, before anybody hears of it.
+fn spawn<T: Send + 'static>(
+    workers: &ThreadPool,
+    held: impl Send + 'static,
+    job: impl FnOnce() -> T + Send + 'static,
+) -> Outcome<T> {
+    let (sender, receiver) = oneshot::channel();
+    workers.spawn(move || {
+        let result = catch_unwind(AssertUnwindSafe(job));
+        drop(held);
+        // Nobody receives where the client has left; the result is then of no use.
+        let _ = sender.send(result);
+    });
+    receiver
+}
+
+/// The result of a job that has ended; panics are counted.
+fn ended<T>(outcome: Result<std::thread::Result<T>, oneshot::error::RecvError>) -> Result<T, PoolError> {
+    outcome.ok().and_then(Result::ok).ok_or_else(|| {
+        metrics::panicked();
+        PoolError::Panicked
+    })
+}
+
+/// Lets all other threads go first.
+#[cfg(target_os = "linux")]
+fn give_way() {
+    /// A tenth of the share of a thread that is not nice.
+    const NICE: i32 = 10;
+    // Where it may not be nicer it is as nice as it is.
+    let _ = rustix::process::nice(NICE);
+}
+
+/// Elsewhere `nice` is for whole processes.
+#[cfg(not(target_os = "linux"))]
+fn give_way() {}
 
 /// Raises the flag unless it was taken out before.
 struct CancelOnDrop(Option<Cancel>);
@@ -215,6 +266,34 @@ mod tests {
         let (value, waited) = waiting.await.unwrap().unwrap();
         assert_eq!(value, 7);
         assert!(waited >= Duration::from_millis(20), "{waited:?}");
+    }
+
+    #[tokio::test]
+    async fn work_behind_the_frames_takes_neither_their_slots_nor_their_threads() {
+        let pool = pool(1, 0);
+        let ticket = pool.admit().unwrap();
+        let behind = pool.clone();
+        let (release, released) = mpsc::channel::<()>();
+        // Every thread that is for such work is busy.
+        let gates = std::sync::Mutex::new(released);
+        let busy = tokio::spawn(async move {
+            behind
+                .run_behind(move || {
+                    rayon::broadcast(|_| gates.lock().unwrap().recv().unwrap());
+                })
+                .await
+        });
+        assert_eq!(ticket.run(|_| rayon::current_num_threads()).await.unwrap().0, 2);
+        assert!(!busy.is_finished());
+        [(), ()].into_iter().for_each(|()| release.send(()).unwrap());
+        busy.await.unwrap().unwrap();
+        assert_eq!(
+            pool.run_behind(|| if true {
+                panic!("a defect")
+            })
+            .await,
+            Err(PoolError::Panicked)
+        );
     }
 
     #[tokio::test]

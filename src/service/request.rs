@@ -19,7 +19,8 @@ use serde_json::Value;
 pub use crate::classify::InvalidField;
 use crate::classify::TransferFunction;
 use crate::encode::Format;
-use crate::render::{Background, Camera, DepthCueing, IntensityProjection, Preintegration, Quality, Shading, Window};
+use crate::render::{Background, Camera, DepthCueing, IntensityProjection, Preintegration, Quality, Shading};
+use fields::WindowFields;
 pub use options::{Kind, OPTIONS, RequestOption};
 pub use resolve::{ImageLimits, ResolvedRequest};
 
@@ -97,7 +98,7 @@ pub struct RenderRequest {
     sample_distance: Option<f64>,
     projection: Option<IntensityProjection>,
     /// The volume's range of values unless told.
-    window: Option<Window>,
+    window: WindowFields,
     preintegration: Preintegration,
     depth_cueing: Option<DepthCueing>,
     spelling: Spelling,
@@ -298,7 +299,9 @@ mod tests {
             (r#"{"preintegration": {"table": "3d"}}"#, "/preintegration/table"),
             (r#"{"blend": "sum"}"#, "/blend"),
             (r#"{"window": {"center": 40, "width": 400}}"#, "/window"),
-            (r#"{"blend": "maximum", "window": {"center": 40}}"#, "/window"),
+            (r#"{"blend": "maximum", "window": 40}"#, "/window"),
+            (r#"{"blend": "maximum", "window": {"level": 40}}"#, "/window/level"),
+            (r#"{"blend": "maximum", "window": {"center": 1e13}}"#, "/window/center"),
             (r#"{"blend": "maximum", "window": {"center": 40, "width": 0}}"#, "/window/width"),
             (r#"{"depth_cueing": {"front": -1}}"#, "/depth_cueing/front"),
             (r#"{"depth_cueing": {"fog": 1}}"#, "/depth_cueing/fog"),
@@ -344,6 +347,8 @@ mod tests {
             ("quality=best", "/quality"),
             ("algorithm=magic", "/algorithm"),
             ("blend=product", "/blend"),
+            ("blend=maximum&window_width=0", "/window_width"),
+            ("blend=maximum&window_center=x", "/window_center"),
             ("format=png", "/format"),
             ("a%2Fb=1", "/a~1b"),
         ] {

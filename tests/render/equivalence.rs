@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use shearwarp::classify::{Encodings, GradientPoint, Purpose, TransferFunction};
-use shearwarp::render::{Algorithm, Camera, Light, Orbit, Projection, Settings, Shading};
+use shearwarp::render::{Algorithm, Camera, DepthCueing, Image, Light, Orbit, Projection, Settings, Shading};
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
 use crate::scenes::{ANGLES, Prepared, on_threads, plain, transfer};
@@ -45,17 +45,30 @@ fn lit() -> Settings {
     }
 }
 
+/// The frame of `classified`, after it was compared with its twins.
+fn same_bits(scene: &Prepared, camera: &Camera, settings: &Settings) -> Image {
+    let view = scene.view(camera, 90, 80);
+    let encoded = scene.frame(&view, settings);
+    let naive = |settings: &Settings| Settings { skipping: false, ..settings.clone() };
+    assert!(encoded == scene.frame(&view, &naive(settings)), "differs from its twin: {camera:?} {settings:?}");
+    let fast = Settings { algorithm: Algorithm::FastClassification, ..settings.clone() };
+    assert!(encoded == scene.frame(&view, &fast), "fast classification differs: {camera:?} {settings:?}");
+    assert!(encoded == scene.frame(&view, &naive(&fast)), "voxel by voxel it differs: {camera:?} {settings:?}");
+    encoded
+}
+
+fn faded() -> Settings {
+    Settings { depth_cueing: Some(DepthCueing { front: 1.3, density: 0.8 }), ..lit() }
+}
+
 #[test]
-fn the_kernel_is_its_naive_twin_along_every_axis_from_both_sides() {
+fn encoded_and_unencoded_voxels_and_their_naive_twins_are_one_along_every_axis_from_both_sides() {
     for transfer in [solid(), with_gradient_opacity()] {
         let scene = Prepared::new(lumps([140, 37, 70], [1.0, 1.5, 0.8], 1), transfer, 0.004);
         for angles in ANGLES {
-            let view = scene.view(&orbit(angles), 90, 80);
-            for settings in [lit(), plain(Algorithm::Classified)] {
-                let fast = scene.frame(&view, &settings);
-                let naive = scene.frame(&view, &Settings { skipping: false, ..settings });
-                assert!(fast.pixels.iter().any(|&p| p > 0), "an empty picture at {angles:?}");
-                assert!(fast == naive, "differs from its twin at {angles:?}");
+            for settings in [lit(), plain(Algorithm::Classified), faded()] {
+                let frame = same_bits(&scene, &orbit(angles), &settings);
+                assert!(frame.pixels.iter().any(|&p| p > 0), "an empty picture at {angles:?}");
             }
         }
     }
@@ -66,7 +79,7 @@ fn threads_and_bands_change_nothing() {
     let scene = Prepared::new(lumps([70, 80, 66], [1.0; 3], 2), solid(), 0.002);
     for angles in ANGLES {
         let view = scene.view(&orbit(angles), 64, 64);
-        for settings in [lit(), plain(Algorithm::Raycast)] {
+        for settings in [lit(), plain(Algorithm::FastClassification), plain(Algorithm::Raycast)] {
             let one = on_threads(1, || scene.frame(&view, &settings));
             for threads in [2, 7] {
                 let many = on_threads(threads, || scene.frame(&view, &settings));
@@ -136,18 +149,19 @@ proptest! {
         low in 0.0f64..200.0,
         opacity in 0.05f64..1.0,
         termination in 0.5f32..=1.0,
+        fading in any::<bool>(),
+        by_gradient in any::<bool>(),
     ) {
         // Noise in blocks, so that there are runs of both kinds.
         let scalars = (0..dims.iter().product()).map(|at: usize| codes[at / 5 % 97]).collect();
         let report = ImportReport::plain("test", ScalarType::U8);
         let placement = Placement::from_spacing([1.0, 0.7, 1.6].into());
         let volume = Volume::new(dims, placement, Scalars::U8(scalars), (1.0, 0.0), report).unwrap();
-        let transfer = transfer(&[(low, 0.0), (low + 20.0, opacity), (255.0, opacity / 2.0)]);
+        let points = transfer(&[(low, 0.0), (low + 20.0, opacity), (255.0, opacity / 2.0)]);
+        let gradient_opacity = if by_gradient { with_gradient_opacity().gradient_opacity } else { vec![] };
+        let transfer = TransferFunction { gradient_opacity, ..points };
         let scene = Prepared::new(volume, transfer, 0.01);
-        let view = scene.view(&orbit((azimuth, elevation)), 33, 30);
-        let settings = Settings { early_ray_termination: termination, ..lit() };
-        let fast = on_threads(2, || scene.frame(&view, &settings));
-        let naive = scene.frame(&view, &Settings { skipping: false, ..settings });
-        prop_assert!(fast == naive);
+        let settings = Settings { early_ray_termination: termination, ..if fading { faded() } else { lit() } };
+        on_threads(2, || same_bits(&scene, &orbit((azimuth, elevation)), &settings));
     }
 }

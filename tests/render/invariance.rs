@@ -1,7 +1,10 @@
 //! The picture belongs to the world, not to the way a volume is stored or placed in it.
 
 use glam::{DMat3, DMat4, DVec3, DVec4, EulerRot};
-use shearwarp::render::{Algorithm, Background, Camera, Image, Light, LookAt, Projection, Settings, Shading};
+use shearwarp::render::{
+    Algorithm, Background, Blend, Camera, DepthCueing, Image, IntensityProjection, Light, LookAt, Preintegration,
+    Projection, Quality, Settings, Shading, Window, check,
+};
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
 use crate::scenes::{Prepared, plain, transfer};
@@ -49,27 +52,60 @@ fn stored(order: [usize; 3], flipped: [bool; 3], rotation: DMat3) -> Volume {
     Volume::new(dims, placement, Scalars::U8(codes.collect()), (1.0, 0.0), report).unwrap()
 }
 
-/// The picture of a volume, camera and light turned by `rotation`.
-fn picture(volume: Volume, rotation: DMat3, direction: DVec3, algorithm: Algorithm) -> Image {
+/// Every algorithm and kind of picture.
+fn every_way() -> Vec<Settings> {
+    let of = |algorithm, quality| Settings {
+        quality,
+        preintegration: Preintegration::of(quality),
+        background: Background::Opaque([0.1, 0.2, 0.3]),
+        early_ray_termination: 0.99,
+        ..plain(algorithm)
+    };
+    let high = of(Algorithm::Preintegrated, Quality::High);
+    let window = Window { center: 100.0, width: 220.0 };
+    vec![
+        of(Algorithm::Classified, Quality::Standard),
+        of(Algorithm::FastClassification, Quality::Standard),
+        of(Algorithm::Preintegrated, Quality::Standard),
+        Settings { depth_cueing: Some(DepthCueing { front: 1.1, density: 0.8 }), ..high.clone() },
+        Settings { blend: Blend::Projection(IntensityProjection::Maximum, window), ..high.clone() },
+        Settings { blend: Blend::Projection(IntensityProjection::Average, window), ..high },
+        of(Algorithm::Raycast, Quality::Standard),
+    ]
+}
+
+/// A camera from `direction`, and whether its rays are parallel.
+#[derive(Clone, Copy, Debug)]
+struct Look {
+    direction: DVec3,
+    projection: Projection,
+}
+
+/// From all around; parallel.
+fn looks() -> impl Iterator<Item = Look> {
+    DIRECTIONS.into_iter().map(|direction| Look { direction, projection: Projection::Parallel })
+}
+
+/// The picture of a volume, camera and light turned by `rotation`; `None` where the algorithm does not
+/// take the view.
+fn picture(volume: Volume, rotation: DMat3, look: Look, settings: &Settings) -> Option<Image> {
     let function = transfer(&[(0.0, 0.0), (60.0, 0.0), (110.0, 0.3), (255.0, 0.8)]);
     let scene = Prepared::new(volume, function, 0.002);
     let centre = scene.prepared.volume().centre();
+    let distance = if look.projection == Projection::Parallel { 200.0 } else { 100.0 };
     let camera = Camera::LookAt(LookAt {
-        projection: Projection::Parallel,
-        position: centre + rotation * direction * 200.0,
+        projection: look.projection,
+        position: centre + rotation * look.direction * distance,
         target: centre,
         up: rotation * DVec3::new(0.1, 0.2, 1.0),
         view_height: Some(60.0),
         fov_y: 30.0,
     });
     let light = Light::Directional { direction: rotation * DVec3::new(0.4, -1.0, 0.7), intensity: 0.6 };
-    let settings = Settings {
-        shading: Some(Shading { lights: vec![Light::Headlight, light], ..Shading::default() }),
-        background: Background::Opaque([0.1, 0.2, 0.3]),
-        early_ray_termination: 0.99,
-        ..plain(algorithm)
-    };
-    scene.frame(&scene.view(&camera, 70, 60), &settings)
+    let shading = Some(Shading { lights: vec![Light::Headlight, light], ..Shading::default() });
+    let view = scene.view(&camera, 70, 60);
+    let settings = Settings { shading, ..settings.clone() };
+    check(scene.prepared.volume(), &view, &settings).is_ok().then(|| scene.frame(&view, &settings))
 }
 
 fn largest_difference(a: &Image, b: &Image) -> u8 {
@@ -88,13 +124,15 @@ const DIRECTIONS: [DVec3; 6] = [
 #[test]
 fn turning_volume_camera_and_light_together_changes_no_pixel_by_more_than_one() {
     let rotations = [(0.3, -1.1, 2.0), (1.5, 0.4, -0.7), (-2.2, 0.9, 0.1)];
-    for direction in DIRECTIONS {
-        for algorithm in [Algorithm::Classified, Algorithm::Raycast] {
-            let plain = picture(stored([0, 1, 2], [false; 3], DMat3::IDENTITY), DMat3::IDENTITY, direction, algorithm);
+    let perspective = looks().step_by(2).map(|look| Look { projection: Projection::Perspective, ..look });
+    for look in looks().chain(perspective) {
+        for settings in every_way() {
+            let turned_by = |rotation| picture(stored([0, 1, 2], [false; 3], rotation), rotation, look, &settings);
+            let Some(plain) = turned_by(DMat3::IDENTITY) else { continue };
             for (a, b, c) in rotations {
-                let rotation = DMat3::from_euler(EulerRot::XYZ, a, b, c);
-                let turned = picture(stored([0, 1, 2], [false; 3], rotation), rotation, direction, algorithm);
-                assert!(largest_difference(&plain, &turned) <= 1, "{algorithm:?} {direction} {a} {b} {c}");
+                let turned = turned_by(DMat3::from_euler(EulerRot::XYZ, a, b, c)).unwrap();
+                let difference = largest_difference(&plain, &turned);
+                assert!(difference <= 1, "{settings:?} {look:?} {a} {b} {c}: {difference}");
             }
         }
     }
@@ -103,16 +141,18 @@ fn turning_volume_camera_and_light_together_changes_no_pixel_by_more_than_one() 
 #[test]
 fn the_order_and_handedness_of_stored_axes_changes_pixels_by_quantized_normals_only() {
     let orders = [([1, 0, 2], [false; 3]), ([2, 1, 0], [true, false, false]), ([1, 2, 0], [true, false, true])];
-    for direction in DIRECTIONS {
-        for algorithm in [Algorithm::Classified, Algorithm::Raycast] {
-            let plain = picture(stored([0, 1, 2], [false; 3], DMat3::IDENTITY), DMat3::IDENTITY, direction, algorithm);
+    for look in looks() {
+        for settings in every_way() {
+            let stored =
+                |order, flipped| picture(stored(order, flipped, DMat3::IDENTITY), DMat3::IDENTITY, look, &settings);
+            let Some(plain) = stored([0, 1, 2], [false; 3]) else { continue };
+            // Normals are quantized in the stored frame, to within 1.1 degrees: up to 4 steps of 8 bits
+            // of a light's diffuse part.
+            let exact_normals = settings.algorithm == Algorithm::Raycast || settings.quality == Quality::High;
+            let allowed = if exact_normals { 1 } else { 4 };
             for (order, flipped) in orders {
-                let other = picture(stored(order, flipped, DMat3::IDENTITY), DMat3::IDENTITY, direction, algorithm);
-                let difference = largest_difference(&plain, &other);
-                // Normals are quantized in the stored frame, to within 1.1 degrees: up to 4 steps of 8 bits
-                // of a light's diffuse part.
-                let allowed = if algorithm == Algorithm::Classified { 4 } else { 1 };
-                assert!(difference <= allowed, "{algorithm:?} {direction} {order:?}: {difference}");
+                let difference = largest_difference(&plain, &stored(order, flipped).unwrap());
+                assert!(difference <= allowed, "{settings:?} {look:?} {order:?}: {difference}");
             }
         }
     }

@@ -1,10 +1,12 @@
 //! Frames against closed forms, against slow twins bit for bit, and against each other.
 
 mod closed_form;
+mod draft;
 mod equivalence;
 mod golden;
 mod invariance;
 mod layering;
+mod projections;
 mod ramp;
 mod scenes;
 mod shear_image;

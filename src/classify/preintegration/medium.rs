@@ -68,6 +68,12 @@ impl Medium {
         Self { pieces, reference: transfer.reference_length(volume.smallest_spacing()) }
     }
 
+    /// `low`, `high` and the ends of pieces between them, in ascending order.
+    pub fn ends(&self, low: f64, high: f64) -> Vec<f64> {
+        let inner = self.pieces.iter().map(|piece| piece.to).filter(|&end| low < end && end < high);
+        [low].into_iter().chain(inner).chain([high]).collect()
+    }
+
     /// Extinction per mm and colour at a code. At a step, those of its upper side.
     pub fn at(&self, code: f64) -> (f64, DVec3) {
         let piece = &self.pieces[self.pieces.partition_point(|piece| piece.to <= code)];

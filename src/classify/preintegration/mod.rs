@@ -11,7 +11,9 @@
 //! The transfer function is integrated where the table is made ([`medium`]), however sharp its peaks
 //! are, and not sampled where the slices happen to be.
 
+mod axis;
 mod medium;
+mod ranges;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -23,26 +25,19 @@ use glam::Vec4;
 
 use super::transfer::TransferFunction;
 use crate::volume::Volume;
+pub use axis::SlabAxis;
 use medium::Medium;
-use table::Intervals;
+use ranges::Ranges;
 pub use table::SlabTable;
 
 /// What all slab tables of a volume under a transfer function share, and the tables made so far.
 #[derive(Debug)]
 pub struct SlabTables {
-    axis: SlabAxis,
+    axis: Arc<SlabAxis>,
     /// Codes at which a slab may show something, one flag for each.
     visible: Vec<bool>,
-    intervals: Intervals,
+    ranges: Ranges,
     made: Mutex<HashMap<(Form, u32), Arc<SlabTable>>>,
-}
-
-/// Scalar codes -> positions on a table's axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SlabAxis {
-    first_code: f32,
-    entries_per_code: f32,
-    entries: usize,
 }
 
 /// What a table's entries hold.
@@ -67,60 +62,33 @@ impl Form {
     }
 }
 
-/// Rounding of a sampled scalar and of its position, as a share of the scalar: what is resampled from
-/// voxels of code `c` alone is within `c * ROUNDING` of it.
+/// Rounding of a sampled scalar: what is resampled from voxels of code `c` alone is within `c * ROUNDING`.
 const ROUNDING: f32 = 1e-6;
 
-impl SlabAxis {
-    /// Position of a (fractional) code on the axis, 0..=entries - 1.
-    #[inline(always)]
-    pub fn coordinate(&self, code: f32) -> f32 {
-        (code - self.first_code) * self.entries_per_code
-    }
-
-    /// Entries along the axis.
-    pub fn entries(&self) -> usize {
-        self.entries
-    }
-
-    fn code(&self, entry: usize) -> f64 {
-        f64::from(self.first_code) + entry as f64 / f64::from(self.entries_per_code)
-    }
-}
+/// Rounding of a position on the axis, below what [`table`] rounds positions to.
+const POSITION_ROUNDING: f32 = 1.0 / 4096.0;
 
 impl SlabTables {
-    /// For `transfer` on `volume`, with at most so many `entries` along an axis (2 or more).
-    pub fn new(volume: &Volume, transfer: &TransferFunction, entries: usize) -> Self {
-        let (low, high) = volume.code_range();
-        let codes = usize::from(high - low) + 1;
-        let entries = entries.min(codes).max(2);
-        let span = f32::from(high - low).max(1.0);
-        let axis = SlabAxis { first_code: f32::from(low), entries_per_code: (entries - 1) as f32 / span, entries };
+    /// Entries along an axis at most.
+    pub const MAX_ENTRIES: usize = 4096;
 
+    /// For `transfer` on `volume`, with at most so many `entries` along an axis (2 to
+    /// [`Self::MAX_ENTRIES`]); no more than the volume has codes.
+    pub fn new(volume: &Volume, transfer: &TransferFunction, entries: usize) -> Self {
         let medium = Medium::new(volume, transfer);
-        let mut stretches = Vec::new();
-        let counts: Vec<usize> = (1..entries)
-            .map(|entry| {
-                let before = stretches.len();
-                medium.stretches(axis.code(entry - 1), axis.code(entry), &mut stretches);
-                stretches.len() - before
-            })
-            .collect();
-        let media = (0..entries).map(|entry| {
-            let (extinction, color) = medium.at(axis.code(entry));
-            color.as_vec3().extend(extinction as f32)
-        });
-        let codes_per_entry = 1.0 / f64::from(axis.entries_per_code);
-        let intervals = Intervals::new(&counts, &stretches, media.collect(), codes_per_entry);
+        let codes @ (_, high) = volume.code_range();
+        let axis = SlabAxis::new(&medium, codes, entries.clamp(2, Self::MAX_ENTRIES), volume.smallest_spacing());
+        let ranges = Ranges::new(&medium, axis.codes());
+        let last = (axis.entries() - 1) as f32;
         let visible = (0..=high)
             .map(|code| {
-                let code = f32::from(code);
-                let within = |share: f32| axis.coordinate(code * share).clamp(0.0, (entries - 1) as f32);
-                let (below, above) = (within(1.0 - ROUNDING), within(1.0 + ROUNDING));
-                intervals.shows(table::entry_before(below), table::entry_after(above))
+                let position = |share: f32| axis.coordinate(f32::from(code) * share);
+                let first = table::entry_before((position(1.0 - ROUNDING) - POSITION_ROUNDING).max(0.0));
+                let end = table::entry_after((position(1.0 + ROUNDING) + POSITION_ROUNDING).clamp(0.0, last));
+                ranges.shows(first, end)
             })
             .collect();
-        Self { axis, visible, intervals, made: Mutex::default() }
+        Self { axis: Arc::new(axis), visible, ranges, made: Mutex::default() }
     }
 
     /// A flag for each code, 0 up to the volume's largest: true where a slab that reaches the code may
@@ -136,7 +104,7 @@ impl SlabTables {
         if let Some(made) = self.made.lock().expect("no panic while it is held").get(&key) {
             return Arc::clone(made);
         }
-        let table = Arc::new(SlabTable::new(&self.intervals, self.axis, form, length));
+        let table = Arc::new(SlabTable::new(&self.ranges, Arc::clone(&self.axis), form, length));
         self.made.lock().expect("no panic while it is held").insert(key, Arc::clone(&table));
         table
     }
@@ -145,7 +113,7 @@ impl SlabTables {
     pub fn bytes(&self) -> u64 {
         let made = self.made.lock().expect("no panic while it is held");
         let tables: u64 = made.values().map(|table| table.bytes()).sum();
-        tables + self.visible.len() as u64 + self.intervals.bytes()
+        tables + self.visible.len() as u64 + self.ranges.bytes() + self.axis.bytes()
     }
 }
 

@@ -5,7 +5,8 @@
 //! slices; pixels do not depend on how bands are cut or on who fills them. What the slices are made
 //! of is a type parameter of the walk:
 //!
-//! - [`voxels`]: single voxels, shaded and resampled, each slice behind the one before.
+//! - [`voxels`]: single voxels, shaded and resampled, each slice behind the one before; encoded ones or
+//!   unencoded ones ([`sources`]).
 //! - [`slabs`]: what lies between two slices, looked up by the scalars on both.
 //!
 //! Either works in the same three steps for a scanline of pixels: *which pixels* are not opaque and
@@ -22,6 +23,7 @@ pub mod occupied;
 mod rows;
 pub mod samples;
 pub mod slabs;
+pub mod sources;
 mod spans;
 pub mod voxels;
 

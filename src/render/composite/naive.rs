@@ -9,12 +9,11 @@ use rayon::prelude::*;
 use super::over;
 use super::samples::{self, Position, VoxelRows, lerp};
 use super::slabs::SlabComposite;
+use super::sources::VoxelSource;
 use super::voxels::{Voxels, Weights};
 use crate::classify::preintegration::Slabs;
-use crate::classify::rle::Scanline;
 use crate::render::factorization::SlicePlacement;
 use crate::render::intermediate::IntermediateImage;
-use crate::render::material::SliceMaterial;
 use crate::render::slab::Correction;
 use crate::render::{Cancel, RenderError};
 use crate::volume::gradient::Code;
@@ -42,7 +41,7 @@ pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel)
     })
 }
 
-impl<const LIT: bool, const FACTORED: bool> Pixels for Voxels<'_, LIT, FACTORED> {
+impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Pixels for Voxels<'_, V, LIT, FACTORED> {
     fn pixel(&self, u: usize, v: usize) -> Vec4 {
         let f = self.factorization;
         let mut pixel = Vec4::ZERO;
@@ -54,16 +53,21 @@ impl<const LIT: bool, const FACTORED: bool> Pixels for Voxels<'_, LIT, FACTORED>
             }
             let (i, j) = (u - slice.first[0], v - slice.first[1]);
             let material = self.material.slice(f.is_outermost(k));
-            let row = |j: usize| {
-                let scanline = self.encoding.scanline(j, k);
-                [voxel(&scanline, i, material), voxel(&scanline, i + 1, material)]
+            // Past the end, where the weight is zero, there is nothing.
+            let voxel = |i: usize, j: usize| match self.source.voxel([i, j, k]).filter(|_| i < f.dims[0]) {
+                Some((voxel, factor)) => material.color(voxel, factor),
+                None => Vec4::ZERO,
             };
+            let row = |j: usize| [voxel(i, j), voxel(i + 1, j)];
             let weights = Weights::new(slice.fraction[0], slice.fraction[1]);
-            let sample = if slice.fraction[1] > 0.0 {
+            let mut sample = if slice.fraction[1] > 0.0 {
                 weights.sample::<true>(row(j), row(j + 1))
             } else {
                 weights.sample::<false>(row(j), [Vec4::ZERO; 2])
             };
+            if let Some(cue) = self.cue {
+                sample = (sample * (cue.slice(k as f64) * cue.along_v[v] * cue.along_u[u])).with_w(sample.w);
+            }
             pixel = over(pixel, sample);
             if pixel.w >= self.opaque {
                 break;
@@ -78,18 +82,6 @@ fn contains(slice: &SlicePlacement, dims: [usize; 3], pixel: [usize; 2]) -> bool
     (0..2).all(|axis| {
         let between = usize::from(slice.fraction[axis] > 0.0);
         pixel[axis] >= slice.first[axis] && pixel[axis] - slice.first[axis] + between < dims[axis]
-    })
-}
-
-/// Voxel `i` of a scanline; zero where it is transparent or past the end.
-fn voxel<const LIT: bool, const FACTORED: bool>(
-    scanline: &Scanline<'_>,
-    i: usize,
-    material: SliceMaterial<'_, LIT, FACTORED>,
-) -> Vec4 {
-    scanline.place_of(i).map_or(Vec4::ZERO, |at| {
-        let factor = scanline.factors.get(at).copied().unwrap_or(u8::MAX);
-        material.color(scanline.voxels[at], factor)
     })
 }
 
@@ -112,7 +104,7 @@ impl<T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, T, S, C> {
             let lit = self.voxels.is_lit();
             let mut sample = if lit { self.sample::<true>(front, back) } else { self.sample::<false>(front, back) };
             if let Some(cue) = self.cue {
-                sample = (sample * (cue.along_v[v] * cue.slice(middle) * cue.along_u[u])).with_w(sample.w);
+                sample = (sample * (cue.slice(middle) * cue.along_v[v] * cue.along_u[u])).with_w(sample.w);
             }
             pixel = over(pixel, sample);
             if pixel.w >= self.opaque {

@@ -6,8 +6,10 @@
 
 use glam::Vec4;
 
+use super::samples::BLOCK;
+use super::sources::{ShadedRow, VoxelSource};
 use super::spans::Spans;
-use crate::classify::rle::{Scanline, WORD};
+use super::{WORD, run_mask};
 use crate::render::material::SliceMaterial;
 
 /// One voxel scanline.
@@ -17,8 +19,12 @@ struct Row {
     j: Option<usize>,
     /// Premultiplied colour and opacity by voxel; one more than the scanline has, always zero.
     voxels: Vec<Vec4>,
-    /// Non-transparent voxels, a bit each.
+    /// Non-transparent voxels (or, until they are classified, those that may be), a bit each.
     marked: Vec<u64>,
+    /// Voxels whose marks are known to be of drawn ones.
+    classified: Vec<u64>,
+    /// Voxels to shade.
+    asked: Vec<u64>,
     /// Words that may hold shaded voxels, and which ones.
     shaded: Vec<u64>,
     empty: bool,
@@ -31,6 +37,8 @@ impl Row {
             j: None,
             voxels: vec![Vec4::ZERO; words * WORD],
             marked: vec![0; words],
+            classified: vec![0; words],
+            asked: vec![0; words],
             shaded: vec![0; words],
             empty: true,
         }
@@ -48,54 +56,52 @@ impl Row {
                 }
             }
             self.marked.fill(0);
+            self.classified.fill(0);
         }
         self.empty = true;
         self.j = None;
     }
 
     #[inline(always)]
-    fn enter(&mut self, j: usize, scanline: &Scanline<'_>) {
+    fn enter<V: VoxelSource>(&mut self, source: V, j: usize, scanline: &V::Scanline) {
         self.clear();
         self.j = Some(j);
-        self.empty = scanline.voxels.is_empty();
-        self.marked[..scanline.marked.len()].copy_from_slice(scanline.marked);
+        self.empty = source.is_empty(scanline);
+        if !self.empty {
+            source.mark(scanline, &mut self.marked);
+        }
     }
 
-    /// Shades what `touched` asks for of the scanline's runs: per run the stretch from the first to
-    /// the last voxel that is asked for and not there yet.
+    /// Takes back the marks of `touched` voxels that are not drawn.
     #[inline(always)]
-    fn shade<const LIT: bool, const FACTORED: bool>(
+    fn classify<V: VoxelSource>(&mut self, source: V, scanline: &V::Scanline, touched: &[u64]) {
+        for (word, (marked, touched)) in self.marked.iter_mut().zip(touched).enumerate() {
+            let mut asked = *marked & touched & !self.classified[word];
+            while asked != 0 {
+                let block = asked.trailing_zeros() as usize / BLOCK;
+                let mask = run_mask(block * BLOCK, BLOCK);
+                asked &= !mask;
+                self.classified[word] |= mask;
+                let drawn = source.classify(scanline, word * WORD / BLOCK + block);
+                *marked &= !mask | drawn << (block * BLOCK);
+            }
+        }
+    }
+
+    /// Shades the marked ones of `touched` voxels that are not there yet.
+    #[inline(always)]
+    fn shade<V: VoxelSource, const LIT: bool, const FACTORED: bool>(
         &mut self,
-        scanline: &Scanline<'_>,
+        source: V,
+        scanline: &V::Scanline,
         touched: &[u64],
         material: SliceMaterial<'_, LIT, FACTORED>,
     ) {
-        let mut before = 0;
-        for (word, &marked) in scanline.marked.iter().enumerate() {
-            let mut asked = touched[word] & marked & !self.shaded[word];
-            while asked != 0 {
-                // The rest of the run that the next voxel asked for lies in.
-                let start = asked.trailing_zeros() as usize;
-                let within = super::run_mask(start, (marked >> start).trailing_ones() as usize);
-                let end = WORD - (asked & within).leading_zeros() as usize;
-                let stored = before + (marked & !(u64::MAX << start)).count_ones() as usize;
-                let stored = stored..stored + end - start;
-                let out = &mut self.voxels[word * WORD + start..word * WORD + end];
-                if FACTORED {
-                    let voxels = scanline.voxels[stored.clone()].iter().zip(&scanline.factors[stored]);
-                    for (out, (voxel, factor)) in out.iter_mut().zip(voxels) {
-                        *out = material.color(*voxel, *factor);
-                    }
-                } else {
-                    for (out, voxel) in out.iter_mut().zip(&scanline.voxels[stored]) {
-                        *out = material.color(*voxel, u8::MAX);
-                    }
-                }
-                self.shaded[word] |= super::run_mask(start, end - start);
-                asked &= !within;
-            }
-            before += marked.count_ones() as usize;
+        for ((asked, marked), touched) in self.asked.iter_mut().zip(&self.marked).zip(touched) {
+            *asked = marked & touched;
         }
+        let row = ShadedRow { voxels: &mut self.voxels, shaded: &mut self.shaded };
+        source.shade(scanline, &self.asked, row, material);
     }
 }
 
@@ -122,16 +128,31 @@ impl RowBuffers {
 
     /// Enters scanline `j` and, where pixels lie between two scanlines, `j + 1`.
     #[inline(always)]
-    pub fn enter(&mut self, j: usize, upper: &Scanline<'_>, lower: Option<&Scanline<'_>>) {
+    pub fn enter<V: VoxelSource>(&mut self, source: V, j: usize, upper: &V::Scanline, lower: Option<&V::Scanline>) {
         if self.lower.j == Some(j) {
             std::mem::swap(&mut self.upper, &mut self.lower);
         } else {
-            self.upper.enter(j, upper);
+            self.upper.enter(source, j, upper);
         }
         self.has_lower = lower.is_some();
         match lower {
-            Some(lower) => self.lower.enter(j + 1, lower),
+            Some(lower) => self.lower.enter(source, j + 1, lower),
             None => self.lower.clear(),
+        }
+    }
+
+    /// Takes back the marks of voxels that the spans' pixels touch and that are not drawn.
+    #[inline(always)]
+    pub fn classify<V: VoxelSource>(
+        &mut self,
+        source: V,
+        upper: &V::Scanline,
+        lower: Option<&V::Scanline>,
+        spans: &Spans,
+    ) {
+        self.upper.classify(source, upper, spans.touched());
+        if let Some(lower) = lower {
+            self.lower.classify(source, lower, spans.touched());
         }
     }
 
@@ -149,16 +170,17 @@ impl RowBuffers {
 
     /// Shades the voxels that the spans' pixels touch.
     #[inline(always)]
-    pub fn shade<const LIT: bool, const FACTORED: bool>(
+    pub fn shade<V: VoxelSource, const LIT: bool, const FACTORED: bool>(
         &mut self,
-        upper: &Scanline<'_>,
-        lower: Option<&Scanline<'_>>,
+        source: V,
+        upper: &V::Scanline,
+        lower: Option<&V::Scanline>,
         spans: &Spans,
         material: SliceMaterial<'_, LIT, FACTORED>,
     ) {
-        self.upper.shade(upper, spans.touched(), material);
+        self.upper.shade(source, upper, spans.touched(), material);
         if let Some(lower) = lower {
-            self.lower.shade(lower, spans.touched(), material);
+            self.lower.shade(source, lower, spans.touched(), material);
         }
     }
 

@@ -10,30 +10,27 @@
 //! range stays within it, so that slabs over transparent ranges stay exactly zero. First down a
 //! column of two voxels, then along the row, where each column serves two pixels.
 
-use glam::{DMat3, Vec3, Vec4};
+use glam::Vec4;
 
 use super::WORD;
 use super::mask::{Mask, Runs};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
-use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
+use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::volume::Volume;
-use crate::volume::gradient::{Code, GradientFrame, encode_normal, gradient_at};
+use crate::volume::gradient::{Code, GradientBlock, GradientFrame, Gradients, magnitudes, normals};
 use crate::volume::scanlines::Scanlines;
 
 /// Voxels that are read at once.
-const BLOCK: usize = 8;
+pub use crate::volume::gradient::BLOCK;
 
 /// A volume's voxels as one principal axis walks them, to be sampled.
 #[derive(Clone, Copy, Debug)]
 pub struct VoxelRows<'a, T> {
     scanlines: Scanlines<'a, T>,
-    volume: &'a Volume,
+    gradients: Gradients<'a, T>,
     /// Voxels along i, j, k.
     dims: [usize; 3],
-    /// The volume's axes that i, j, k stand for.
-    permutation: [usize; 3],
-    frame: GradientFrame,
     /// Factor and addend by code of the normal; empty where nothing is shaded.
     shades: &'a [[f32; 2]],
     gradient_opacity: Option<&'a TransferFunction>,
@@ -50,10 +47,8 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     ) -> Self {
         Self {
             scanlines,
-            volume,
+            gradients: Gradients::new(scanlines, &GradientFrame::new(volume.placement(), volume.rescale().0)),
             dims: factorization.dims,
-            permutation: PERMUTATIONS[factorization.principal_axis],
-            frame: GradientFrame::new(volume.placement(), volume.rescale().0),
             shades,
             gradient_opacity: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
         }
@@ -77,9 +72,9 @@ impl<'a, T: Code> VoxelRows<'a, T> {
                 [factor[n], addend[n]] = self.shades[usize::from(normals[n])];
             }
         }
-        if let Some(transfer) = self.gradient_opacity {
+        if self.has_gradient_opacity() {
             for (n, density) in density.iter_mut().enumerate() {
-                *density = self.gradient_factor(transfer, [(first + n).min(self.dims[0] - 1), j, k]);
+                *density = f32::from(self.gradient_factor([first + n, j, k])) / 255.0;
             }
         }
         let mut samples = [Vec4::ZERO; BLOCK];
@@ -91,58 +86,44 @@ impl<'a, T: Code> VoxelRows<'a, T> {
 
     /// Codes of the normals of eight voxels.
     #[inline(always)]
-    fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
-        let [_, nj, nk] = self.dims;
+    pub fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
+        normals(&self.gradients(j, k, first))
+    }
+
+    /// Gradients of eight voxels in the frame of the volume's normals.
+    #[inline(always)]
+    fn gradients(&self, j: usize, k: usize, first: usize) -> GradientBlock {
+        self.gradients.block(j, k, first)
+    }
+
+    /// Codes of eight voxels, the scanline's last one repeated past its end.
+    #[inline(always)]
+    pub fn codes(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
         let row = self.scanlines.row(j, k);
-        let neighbour = |j: usize, k: usize| eight(self.scanlines.row(j, k), first);
-        let (before_j, after_j) = (neighbour(j.saturating_sub(1), k), neighbour((j + 1).min(nj - 1), k));
-        let (before_k, after_k) = (neighbour(j, k.saturating_sub(1)), neighbour(j, (k + 1).min(nk - 1)));
-        let (before_i, after_i) = around(row, first);
-        let mut differences = [[0.0; BLOCK]; 3];
-        for n in 0..BLOCK {
-            differences[0][n] = after_i[n] - before_i[n];
-            differences[1][n] = after_j[n] - before_j[n];
-            differences[2][n] = after_k[n] - before_k[n];
+        let mut codes = [0; BLOCK];
+        if let Some(whole) = row.get(first..first + BLOCK) {
+            for n in 0..BLOCK {
+                codes[n] = whole[n].into();
+            }
+        } else {
+            for (n, code) in codes.iter_mut().enumerate() {
+                *code = row[(first + n).min(row.len() - 1)].into();
+            }
         }
-        // In the volume's own order, so that sums round as they do there.
-        let mut along = [[0.0; BLOCK]; 3];
-        for (n, axis) in self.permutation.into_iter().enumerate() {
-            along[axis] = differences[n];
-        }
-        turn(&mut along, self.frame.frame_from_differences, self.frame.diagonal);
-        let mut normals = [0; BLOCK];
-        for n in 0..BLOCK {
-            normals[n] = encode_normal(along[0][n], along[1][n], along[2][n]);
-        }
-        normals
+        codes
     }
 
-    /// The gradient opacity of voxel (i, j, k), 0..=1 in steps of 1/255.
-    fn gradient_factor(&self, transfer: &TransferFunction, at: [usize; 3]) -> f32 {
-        let mut index = [0; 3];
-        for (axis, at) in self.permutation.into_iter().zip(at) {
-            index[axis] = at;
-        }
-        let magnitude = gradient_at(self.volume, &self.frame, index).length();
-        (transfer.gradient_factor(magnitude) * 255.0).round() as f32 / 255.0
+    /// True where the gradient has an influence on opacity.
+    #[inline(always)]
+    pub fn has_gradient_opacity(&self) -> bool {
+        self.gradient_opacity.is_some()
     }
-}
 
-/// Differences of codes -> components of the gradient in the frame.
-#[inline(always)]
-fn turn(along: &mut [[f32; BLOCK]; 3], frame_from_differences: DMat3, diagonal: bool) {
-    let m = frame_from_differences.as_mat3();
-    let [x, y, z] = along;
-    if diagonal {
-        for n in 0..BLOCK {
-            x[n] *= m.x_axis.x;
-            y[n] *= m.y_axis.y;
-            z[n] *= m.z_axis.z;
-        }
-    } else {
-        for n in 0..BLOCK {
-            [x[n], y[n], z[n]] = (m * Vec3::new(x[n], y[n], z[n])).to_array();
-        }
+    /// The gradient opacity of voxel (i, j, k), 255 = 1; that of the scanline's last voxel past its end.
+    pub fn gradient_factor(&self, [i, j, k]: [usize; 3]) -> u8 {
+        let Some(transfer) = self.gradient_opacity else { return u8::MAX };
+        let magnitude = magnitudes(&self.gradients(j, k, i.min(self.dims[0] - 1)))[0];
+        (transfer.gradient_factor(magnitude.into()) * 255.0).round() as u8
     }
 }
 
@@ -160,20 +141,6 @@ fn eight<T: Code>(row: &[T], first: usize) -> [f32; BLOCK] {
         }
     }
     codes
-}
-
-/// The codes before and after each of eight, indices clamped at the scanline's ends.
-#[inline(always)]
-fn around<T: Code>(row: &[T], first: usize) -> ([f32; BLOCK], [f32; BLOCK]) {
-    if first > 0 && first + BLOCK < row.len() {
-        return (eight(row, first - 1), eight(row, first + 1));
-    }
-    let (mut before, mut after) = ([0.0; BLOCK], [0.0; BLOCK]);
-    for n in 0..BLOCK {
-        before[n] = row[(first + n).saturating_sub(1).min(row.len() - 1)].as_f32();
-        after[n] = row[(first + n + 1).min(row.len() - 1)].as_f32();
-    }
-    (before, after)
 }
 
 /// Where a slice of samples lies: on a slice of voxels or between two.

@@ -202,7 +202,7 @@ impl<T: Code, S: Slabs, C: Correction> SlabComposite<'_, T, S, C> {
     #[inline(always)]
     fn blend(&self, scanline: &mut ScanlineMut<'_>, v: usize, slab: &Slab, pixels: &Mask, samples: &BufferRow<'_>) {
         let lit = self.voxels.is_lit();
-        let along_v = self.cue.map_or(1.0, |cue| cue.along_v[v] * slab.cue);
+        let along_v = self.cue.map_or(1.0, |cue| slab.cue * cue.along_v[v]);
         for (u, length) in Runs::new(pixels) {
             let run = Run {
                 pixels: &mut scanline.pixels[u..][..length],

@@ -12,10 +12,11 @@
 
 use glam::Vec4;
 
+use super::cue::DepthTables;
 use super::rows::RowBuffers;
+use super::sources::VoxelSource;
 use super::spans::Spans;
 use super::{CANCEL_STEP, Composite, WORD, clear_bits, first_run, over, run_mask};
-use crate::classify::rle::AxisEncoding;
 use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::material::Material;
@@ -23,16 +24,18 @@ use crate::render::{Cancel, RenderError};
 
 /// What the bands of a frame share.
 #[derive(Debug)]
-pub struct Voxels<'a, const LIT: bool, const FACTORED: bool> {
-    pub encoding: AxisEncoding<'a>,
+pub struct Voxels<'a, V, const LIT: bool, const FACTORED: bool> {
+    pub source: V,
     pub factorization: &'a Factorization,
     pub material: Material<'a, LIT, FACTORED>,
+    /// `None`: nothing fades.
+    pub cue: Option<&'a DepthTables>,
     /// Accumulated opacity at which a pixel is done.
     pub opaque: f32,
     pub cancel: &'a Cancel,
 }
 
-impl<const LIT: bool, const FACTORED: bool> Composite for Voxels<'_, LIT, FACTORED> {
+impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Composite for Voxels<'_, V, LIT, FACTORED> {
     type Scratch = (RowBuffers, Spans);
 
     fn scratch(&self, _: usize) -> Self::Scratch {
@@ -53,7 +56,7 @@ impl<const LIT: bool, const FACTORED: bool> Composite for Voxels<'_, LIT, FACTOR
     }
 }
 
-impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
+impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Voxels<'_, V, LIT, FACTORED> {
     /// One slice into one band.
     #[inline(always)]
     fn slice(&self, band: &mut Band<'_>, k: usize, rows: &mut RowBuffers, spans: &mut Spans) {
@@ -65,28 +68,46 @@ impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
         let first_row = placement.first[1].saturating_sub(band.first);
         let end_row = (placement.first[1] + last + 1).saturating_sub(band.first).min(band.height());
         let weights = Weights::new(fraction_u, fraction_v);
+        let cue_along_k = self.cue.map_or(1.0, |cue| cue.slice(k as f64));
         rows.next_slice();
         for row in first_row..end_row {
             let v = band.first + row;
             let j = v - placement.first[1];
-            let has_lower = fraction_v > 0.0;
-            if self.encoding.is_empty(j, k) && !(has_lower && !self.encoding.is_empty(j + 1, k)) {
+            let upper = self.source.scanline(j, k);
+            let lower = (fraction_v > 0.0).then(|| self.source.scanline(j + 1, k));
+            let empty = |scanline| self.source.is_empty(scanline);
+            if empty(&upper) && lower.as_ref().is_none_or(empty) {
                 continue;
             }
-            let upper = self.encoding.scanline(j, k);
-            let lower = has_lower.then(|| self.encoding.scanline(j + 1, k));
-            rows.enter(j, &upper, lower.as_ref());
+            rows.enter(self.source, j, &upper, lower.as_ref());
             let mut scanline = band.scanline(row);
-            spans.find(rows, &scanline, placement.first[0], fraction_u > 0.0);
-            if !self.factorization.clip.is_empty() {
-                let visible = self.factorization.visible_pixels(v, k as f64);
-                spans.clip(visible, placement.first[0]);
+            self.find(spans, rows, &scanline, &placement, [v, k]);
+            if V::CLASSIFIES && !spans.is_empty() {
+                rows.classify(self.source, &upper, lower.as_ref(), spans);
+                self.find(spans, rows, &scanline, &placement, [v, k]);
             }
             if spans.is_empty() {
                 continue;
             }
-            rows.shade(&upper, lower.as_ref(), spans, material);
-            self.blend(&mut scanline, &placement, rows, spans, &weights);
+            rows.shade(self.source, &upper, lower.as_ref(), spans, material);
+            let cue = self.cue.map(|cue| Cue { along_u: &cue.along_u, scanline: cue_along_k * cue.along_v[v] });
+            self.blend(&mut scanline, placement.first[0], rows, spans, &weights, cue);
+        }
+    }
+
+    /// Finds the pixels that touch a marked voxel, are not opaque and not clipped away.
+    #[inline(always)]
+    fn find(
+        &self,
+        spans: &mut Spans,
+        rows: &RowBuffers,
+        scanline: &ScanlineMut<'_>,
+        placement: &SlicePlacement,
+        [v, k]: [usize; 2],
+    ) {
+        spans.find(rows, scanline, placement.first[0], placement.fraction[0] > 0.0);
+        if !self.factorization.clip.is_empty() {
+            spans.clip(self.factorization.visible_pixels(v, k as f64), placement.first[0]);
         }
     }
 
@@ -95,10 +116,11 @@ impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
-        placement: &SlicePlacement,
+        first_u: usize,
         rows: &RowBuffers,
         spans: &Spans,
         weights: &Weights,
+        cue: Option<Cue<'_>>,
     ) {
         for (word, &bits) in spans.pixels().iter().enumerate() {
             let mut bits = bits;
@@ -106,13 +128,15 @@ impl<const LIT: bool, const FACTORED: bool> Voxels<'_, LIT, FACTORED> {
                 let (start, length) = first_run(bits);
                 bits &= !run_mask(start, length);
                 let i = word * WORD + start;
-                let u = i + placement.first[0];
+                let u = i + first_u;
                 let (upper, lower) = rows.voxels(i, length + 1);
                 let pixels = &mut scanline.pixels[u..u + length];
-                let opaque = if rows.has_lower() {
-                    blend_run::<true>(pixels, upper, lower, weights, self.opaque)
-                } else {
-                    blend_run::<false>(pixels, upper, lower, weights, self.opaque)
+                let along_u = cue.map(|cue| (&cue.along_u[u..u + length], cue.scanline));
+                let opaque = match (rows.has_lower(), along_u) {
+                    (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (&[], 1.0), self.opaque),
+                    (false, None) => blend_run::<false, false>(pixels, upper, lower, weights, (&[], 1.0), self.opaque),
+                    (true, Some(cue)) => blend_run::<true, true>(pixels, upper, lower, weights, cue, self.opaque),
+                    (false, Some(cue)) => blend_run::<false, true>(pixels, upper, lower, weights, cue, self.opaque),
                 };
                 if opaque != 0 {
                     clear_bits(scanline.non_opaque, u, opaque);
@@ -144,19 +168,30 @@ impl Weights {
     }
 }
 
+/// What the colours of a scanline fade by: the product of its own factor and one along u.
+#[derive(Clone, Copy, Debug)]
+struct Cue<'a> {
+    along_u: &'a [f32],
+    scanline: f32,
+}
+
 /// Blends consecutive pixels; gives the mask of those that became opaque.
 #[inline(always)]
-fn blend_run<const LOWER: bool>(
+fn blend_run<const LOWER: bool, const CUED: bool>(
     pixels: &mut [Vec4],
     upper: &[Vec4],
     lower: &[Vec4],
     weights: &Weights,
+    (along_u, factor): (&[f32], f32),
     opaque: f32,
 ) -> u64 {
     let mut done = 0;
     let voxels = upper.windows(2).zip(lower.windows(2));
     for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
-        let sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
+        let mut sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
+        if CUED {
+            sample = (sample * (factor * along_u[at])).with_w(sample.w);
+        }
         *pixel = over(*pixel, sample);
         done |= u64::from(pixel.w >= opaque) << at;
     }

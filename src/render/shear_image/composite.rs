@@ -118,10 +118,10 @@ struct State {
     since: Lanes,
 }
 
-/// Light is taken from the slab before until this much of a pixel was made with it: a step of an 8-bit
+/// Light is taken from the slab before until this much of a pixel was made with it: half a step of an 8-bit
 /// channel. Gradients are most of a lit frame's cost, and behind much that is translucent they are
 /// asked for in vain.
-const STALE_LIGHT: f32 = 1.0 / 255.0;
+const STALE_LIGHT: f32 = 0.5 / 255.0;
 
 impl State {
     /// The lanes of `shown` whose light must be asked for anew.

@@ -15,7 +15,7 @@ use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
 use crate::render::{
     Background, Camera, DepthCueing, IntensityProjection, Light, LookAt, Orbit, Preintegration, Projection, Quality,
-    Shading, SlabTable, Window,
+    Shading, SlabTable,
 };
 
 /// Degrees: beyond, a float's steps show as jumps of the camera.
@@ -40,7 +40,8 @@ const WINDOW_CENTER: RangeInclusive<f64> = -1e12..=1e12;
 const WINDOW_WIDTH: RangeInclusive<f64> = 1e-6..=1e12;
 const CUE_FRONT: RangeInclusive<f64> = 0.0..=10.0;
 const CUE_DENSITY: RangeInclusive<f64> = 0.0..=100.0;
-/// A two-dimensional table of 1024 entries takes 16 MiB.
+/// Of a two-dimensional table. 1024 take 16 MiB, as much as a large image in the making; more would tell 12-bit
+/// values apart no better, between which a lookup interpolates.
 const ENTRIES: RangeInclusive<f64> = 2.0..=1024.0;
 /// Beyond, slabs are shorter than what 8-bit pixels tell apart.
 const SAMPLES_PER_VOXEL: RangeInclusive<f64> = 1.0..=8.0;
@@ -62,7 +63,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     refusals.range("/early_ray_termination", fields.early_ray_termination, EARLY_RAY_TERMINATION);
     refusals.range("/min_opacity", fields.min_opacity, MIN_OPACITY);
     refusals.range("/sample_distance", fields.sample_distance, SAMPLE_DISTANCE);
-    let (projection, window) = refusals.blend(fields.blend, fields.window.as_ref());
+    let (projection, window) = refusals.blend(fields.blend, fields.window);
     let preintegration = refusals.preintegration(fields.quality, fields.preintegration.as_ref());
     let depth_cueing = fields.depth_cueing.as_ref().map(|cueing| refusals.depth_cueing(cueing));
     let request = RenderRequest {
@@ -304,21 +305,21 @@ impl Refusals {
     fn blend(
         &mut self,
         blend: Option<Blend>,
-        window: Option<&WindowFields>,
-    ) -> (Option<IntensityProjection>, Option<Window>) {
+        window: Option<WindowFields>,
+    ) -> (Option<IntensityProjection>, WindowFields) {
         let projection = match blend {
             None | Some(Blend::Composite) => None,
             Some(Blend::Maximum) => Some(IntensityProjection::Maximum),
             Some(Blend::Minimum) => Some(IntensityProjection::Minimum),
             Some(Blend::Average) => Some(IntensityProjection::Average),
         };
-        let Some(&WindowFields { center, width }) = window else { return (projection, None) };
-        if projection.is_none() {
+        if projection.is_none() && window.is_some() {
             self.refuse("/window", "belongs to the blends maximum, minimum and average");
         }
-        self.range("/window/center", Some(center), WINDOW_CENTER);
-        self.range("/window/width", Some(width), WINDOW_WIDTH);
-        (projection, Some(Window { center, width }))
+        let window = window.unwrap_or_default();
+        self.range("/window/center", window.center, WINDOW_CENTER);
+        self.range("/window/width", window.width, WINDOW_WIDTH);
+        (projection, window)
     }
 
     fn depth_cueing(&mut self, fields: &DepthCueingFields) -> DepthCueing {

@@ -116,11 +116,11 @@ pub enum Blend {
     Average,
 }
 
-#[derive(serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct WindowFields {
-    pub center: f64,
-    pub width: f64,
+    pub center: Option<f64>,
+    pub width: Option<f64>,
 }
 
 #[derive(Default, serde::Deserialize)]

@@ -35,7 +35,7 @@ const fn option(name: &'static str, kind: Kind, field: &'static str, help: &'sta
 }
 
 /// Every short name.
-pub const OPTIONS: [RequestOption; 14] = [
+pub const OPTIONS: [RequestOption; 16] = [
     option(
         "azimuth",
         Kind::Number,
@@ -55,6 +55,8 @@ pub const OPTIONS: [RequestOption; 14] = [
     option("algorithm", Kind::Text, "algorithm", "auto, classified, fast-classification, preintegrated or raycast"),
     option("quality", Kind::Text, "quality", "draft, standard or high"),
     option("blend", Kind::Text, "blend", "composite, maximum, minimum or average"),
+    option("window_center", Kind::Number, "window/center", "Value in the middle of black and white (projections)"),
+    option("window_width", Kind::Number, "window/width", "Values from black to white (projections)"),
 ];
 
 /// Sets the fields that a query string names.

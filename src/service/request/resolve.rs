@@ -128,8 +128,8 @@ impl RenderRequest {
     /// What a projection shows from black to white.
     fn window(&self, volume: &Volume) -> Window {
         let (low, high) = volume.value_range();
-        let width = if high > low { high - low } else { 1.0 };
-        self.window.unwrap_or(Window { center: low + width / 2.0, width })
+        let range = if high > low { high - low } else { 1.0 };
+        Window { center: self.window.center.unwrap_or(low + range / 2.0), width: self.window.width.unwrap_or(range) }
     }
 
     /// `auto` is resolved from the request alone.
@@ -163,42 +163,39 @@ impl ResolvedRequest {
         }
     }
 
+    /// Whether encodings make the frame faster. Fast classification is what goes without.
+    pub fn walks_encodings(&self) -> bool {
+        self.settings.algorithm != Algorithm::FastClassification
+    }
+
     /// All that the pixels depend on besides the volume, as text: the same for requests that mean the
     /// same, however they were written. The format is left out, being known only after negotiation.
     pub fn canonical(&self) -> String {
-        let Settings {
-            algorithm,
-            quality,
-            blend,
-            preintegration,
-            depth_cueing,
-            background,
-            shading,
-            early_ray_termination,
-            sample_distance,
-            skipping: _,
-        } = &self.settings;
+        let settings = &self.settings;
         // Debug writes floats with as many digits as tell them apart.
-        let view = format!("{:?} {background:?}", self.view);
-        let samples = match algorithm {
-            Algorithm::Classified => format!("classified {quality:?} min_opacity {:?}", self.min_opacity),
-            Algorithm::FastClassification => {
-                format!("fast-classification {quality:?} min_opacity {:?}", self.min_opacity)
+        let frame = format!("{:?} {:?} {}", self.view, settings.background, settings.algorithm.name());
+        let samples = match (settings.algorithm, settings.blend) {
+            (Algorithm::Raycast, _) => format!("sample_distance {:?}", settings.sample_distance),
+            (_, Blend::Projection(..)) => {
+                format!("level {} samples_per_voxel {}", self.level(), settings.preintegration.samples_per_voxel)
             }
-            // Either buffer gives the same pixels.
-            Algorithm::Preintegrated => {
-                let options = Preintegration { buffer: BufferSlice::Slice, ..*preintegration };
-                format!("preintegrated {quality:?} {options:?}")
+            (Algorithm::Classified | Algorithm::FastClassification, _) => {
+                format!("level {} min_opacity {:?}", self.level(), self.min_opacity)
             }
-            Algorithm::Raycast => format!("raycast {sample_distance:?}"),
+            (Algorithm::Preintegrated, _) => {
+                // Either buffer gives the same pixels.
+                let options = Preintegration { buffer: BufferSlice::Slice, ..settings.preintegration };
+                format!("{} {options:?}", settings.quality.name())
+            }
         };
-        match blend {
-            Blend::Projection(..) => format!("{view} {samples} {blend:?}"),
+        let shown = match settings.blend {
+            Blend::Projection(..) => format!("{:?}", settings.blend),
             Blend::Composite => format!(
-                "{view} {samples} early_ray_termination {early_ray_termination:?} {depth_cueing:?} {shading:?} {:?}",
-                self.transfer
+                "early_ray_termination {:?} {:?} {:?} {:?}",
+                settings.early_ray_termination, settings.depth_cueing, settings.shading, self.transfer
             ),
-        }
+        };
+        format!("{frame} {samples} {shown}")
     }
 }
 
@@ -259,14 +256,14 @@ mod tests {
 
     #[test]
     fn a_projection_shows_the_range_of_values_unless_told() {
-        let blend = |json| resolve(json).unwrap().settings.blend;
+        let blend = |json: &str| resolve(json).unwrap().settings.blend;
         let window = Window { center: 104.5, width: 209.0 };
         assert_eq!(blend(r#"{"blend": "maximum"}"#), Blend::Projection(IntensityProjection::Maximum, window));
-        let told = Window { center: 40.0, width: 400.0 };
-        assert_eq!(
-            blend(r#"{"blend": "average", "window": {"center": 40, "width": 400}}"#),
-            Blend::Projection(IntensityProjection::Average, told)
-        );
+        for (told, center, width) in [(r#""center": 40, "width": 400"#, 40.0, 400.0), (r#""width": 9"#, 104.5, 9.0)] {
+            let json = format!(r#"{{"blend": "average", "window": {{{told}}}}}"#);
+            let window = Window { center, width };
+            assert_eq!(blend(&json), Blend::Projection(IntensityProjection::Average, window));
+        }
     }
 
     #[test]
@@ -288,11 +285,21 @@ mod tests {
             r##"{"camera": {"azimuth": 360}, "image": {"background": "#000000", "format": "png", "width": 512.0}}"##,
             r#"{"early_ray_termination": 0.99, "min_opacity": 2e-3, "sample_distance": 3, "algorithm": "auto"}"#,
             r#"{"shading": {"lights": ["headlight"]}, "algorithm": "preintegrated", "blend": "composite"}"#,
-            r#"{"preintegration": {"entries": 256, "lookup": "bilinear"}}"#,
+            r#"{"preintegration": {"entries": 256, "lookup": "bilinear", "buffer": "image"}}"#,
         ];
         for json in equal {
             assert_eq!(canonical(json), canonical("{}"), "{json}");
         }
+        let projection = canonical(r#"{"blend": "maximum"}"#);
+        for further in [
+            r#""window": {"center": 104.5, "width": 209}"#,
+            r#""shading": false, "transfer_function": "gray-ramp", "depth_cueing": {}, "early_ray_termination": 1"#,
+            r#""preintegration": {"samples_per_voxel": 1, "lookup": "nearest", "entries": 9}"#,
+        ] {
+            assert_eq!(canonical(&format!(r#"{{"blend": "maximum", {further}}}"#)), projection, "{further}");
+        }
+        let ray_cast = canonical(r#"{"algorithm": "raycast"}"#);
+        assert_eq!(canonical(r#"{"algorithm": "raycast", "quality": "high", "sample_distance": 0.5}"#), ray_cast);
         let given = |distance: &str, light: &str| {
             canonical(&format!(
                 r##"{{"transfer_function": {{"points": [{{"value": 1, "opacity": 0.5, "color": "#Ff0000"}}] {distance}}},
@@ -317,12 +324,24 @@ mod tests {
             r#"{"early_ray_termination": 1}"#,
             r#"{"algorithm": "classified"}"#,
             r#"{"algorithm": "classified", "min_opacity": 0}"#,
+            r#"{"algorithm": "classified", "quality": "draft", "early_ray_termination": 0.99}"#,
+            r#"{"algorithm": "fast-classification"}"#,
             r#"{"quality": "high"}"#,
+            r#"{"quality": "draft", "early_ray_termination": 0.99}"#,
+            r#"{"quality": "high", "preintegration": {"samples_per_voxel": 1}, "early_ray_termination": 0.99}"#,
             r#"{"blend": "maximum"}"#,
+            r#"{"blend": "maximum", "quality": "draft"}"#,
+            r#"{"blend": "maximum", "preintegration": {"samples_per_voxel": 4}}"#,
+            r#"{"blend": "maximum", "algorithm": "raycast"}"#,
             r#"{"blend": "minimum"}"#,
             r#"{"blend": "maximum", "window": {"center": 0, "width": 1}}"#,
             r#"{"depth_cueing": {}}"#,
+            r#"{"depth_cueing": {"density": 2}}"#,
             r#"{"preintegration": {"table": "1d"}}"#,
+            r#"{"preintegration": {"entries": 100}}"#,
+            r#"{"preintegration": {"lookup": "nearest"}}"#,
+            r#"{"preintegration": {"opacity_correction": "off"}}"#,
+            r#"{"preintegration": {"samples_per_voxel": 2}}"#,
             r##"{"transfer_function": {"points": [{"value": 1, "opacity": 0.5, "color": "#ff0000"}]}}"##,
         ];
         let texts: std::collections::HashSet<_> =
