@@ -12,12 +12,12 @@
 
 use rayon::prelude::*;
 
-use super::marks::{VisibleCodes, is_word_occupied, turn};
+use super::marks::{OccupiedWords, VisibleCodes, turn};
 pub use super::marks::{WORD, words};
 use crate::simd::{self, Kernel};
 use crate::volume::PreparedVolume;
 use crate::volume::gradient::Code;
-use crate::volume::octree::{leaf_of, leaves_along};
+use crate::volume::octree::leaf_of;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
 /// A bit for every cell: set where something may show.
@@ -115,14 +115,14 @@ impl<T: Code> Kernel for Plane<'_, T> {
 
     #[inline(always)]
     fn run(self) {
-        let [nx, ny, nz] = self.scanlines.dims();
-        let [lx, ly] = [leaves_along(nx), leaves_along(ny)];
+        let dims @ [nx, ny, _] = self.scanlines.dims();
+        let mut occupied = OccupiedWords::new(self.occupied, dims, self.z);
         for (y, marks) in self.rows.chunks_exact_mut(words(nx - 1)).enumerate() {
-            let leaves = &self.occupied[(leaf_of(self.z, nz) * ly + leaf_of(y, ny)) * lx..][..lx];
-            let row = |y: usize, z: usize| self.scanlines.row(y, z);
-            let rows = [row(y, self.z), row(y + 1, self.z), row(y, self.z + 1), row(y + 1, self.z + 1)];
-            for (word, marks) in marks.iter_mut().enumerate() {
-                if is_word_occupied(leaves, word) {
+            let (near, far) = (self.scanlines.row(y, self.z), self.scanlines.row(y, self.z + 1));
+            let rows = [near, far, self.scanlines.row(y + 1, self.z), self.scanlines.row(y + 1, self.z + 1)];
+            let occupied = occupied.of_row(leaf_of(y, ny));
+            for (word, (marks, occupied)) in marks.iter_mut().zip(occupied).enumerate() {
+                if *occupied {
                     *marks = self.visible.mark_cells(rows, word * WORD);
                 }
             }

@@ -8,6 +8,7 @@
 //! Scanlines of the other stored order are columns of these, and bits are turned in blocks of 64 x 64.
 
 use crate::volume::gradient::Code;
+use crate::volume::octree::{LEAF, leaf_of, leaves_along};
 
 /// Voxels (or cells) of a scanline that a word spans.
 pub const WORD: usize = 64;
@@ -52,13 +53,14 @@ impl<T: Code> VisibleCodes<T> {
     /// the cell between voxels `first + i` and `first + i + 1`.
     #[inline(always)]
     pub fn mark_cells(&self, rows: [&[T]; 4], first: usize) -> u64 {
-        let cells = (rows[0].len() - 1 - first).min(WORD);
-        let whole = rows.map(|row| row[first..].first_chunk::<{ WORD + 1 }>());
-        if let [Some(a), Some(b), Some(c), Some(d)] = whole {
-            self.mark_cells_between([a, b, c, d])
-        } else {
-            let [a, b, c, d] = rows.map(|row| padded(&row[first..]));
-            self.mark_cells_between([&a, &b, &c, &d]) & first_bits(cells)
+        let [a, b, c, d] = rows;
+        let (a, b, c, d) = (&a[first..], &b[first..], &c[first..], &d[first..]);
+        match (a.first_chunk(), b.first_chunk(), c.first_chunk(), d.first_chunk()) {
+            (Some(a), Some(b), Some(c), Some(d)) => self.mark_cells_between([a, b, c, d]),
+            _ => {
+                let whole = self.mark_cells_between([&padded(a), &padded(b), &padded(c), &padded(d)]);
+                whole & first_bits(a.len() - 1)
+            }
         }
     }
 
@@ -111,14 +113,41 @@ fn padded<T: Code, const N: usize>(codes: &[T]) -> [T; N] {
     padded
 }
 
-/// Whether a word of the scanline, the `word`-th, lies in a leaf that is flagged. `leaves` are the flags of
-/// the scanline's leaves.
-#[inline(always)]
-pub fn is_word_occupied(leaves: &[bool], word: usize) -> bool {
-    const LEAVES: usize = WORD / crate::volume::octree::LEAF;
-    // The last leaf has the scanline's last voxel besides its own eight.
-    let first = (word * LEAVES).min(leaves.len() - 1);
-    leaves[first..(word * LEAVES + LEAVES).clamp(first + 1, leaves.len())].contains(&true)
+/// Which words of a plane's scanlines lie in leaves that may hold something, found once for all scanlines
+/// of a row of leaves.
+#[derive(Debug)]
+pub struct OccupiedWords<'a> {
+    /// The flags of the plane's leaves, by rows of them.
+    leaves: &'a [bool],
+    leaves_x: usize,
+    row: Option<usize>,
+    words: Vec<bool>,
+}
+
+impl<'a> OccupiedWords<'a> {
+    /// Of the scanlines along x of plane `z` of a volume of `dims` voxels. `occupied` has a flag for each leaf,
+    /// x fastest.
+    pub fn new(occupied: &'a [bool], [nx, ny, nz]: [usize; 3], z: usize) -> Self {
+        let [leaves_x, leaves_y] = [leaves_along(nx), leaves_along(ny)];
+        let leaves = &occupied[leaf_of(z, nz) * leaves_x * leaves_y..][..leaves_x * leaves_y];
+        Self { leaves, leaves_x, row: None, words: vec![false; words(nx)] }
+    }
+
+    /// A flag for each word of the scanlines in row `row` of leaves.
+    #[inline(always)]
+    pub fn of_row(&mut self, row: usize) -> &[bool] {
+        const LEAVES: usize = WORD / LEAF;
+        if self.row != Some(row) {
+            self.row = Some(row);
+            let leaves = &self.leaves[row * self.leaves_x..][..self.leaves_x];
+            for (word, occupied) in self.words.iter_mut().enumerate() {
+                // The last leaf has the scanline's last voxel besides its own eight.
+                let first = (word * LEAVES).min(leaves.len() - 1);
+                *occupied = leaves[first..(word * LEAVES + LEAVES).clamp(first + 1, leaves.len())].contains(&true);
+            }
+        }
+        &self.words
+    }
 }
 
 /// Turns marks of `rows` scanlines of `length` into marks of `length` scanlines of `rows`; `turned` must be
@@ -252,13 +281,19 @@ mod tests {
 
     #[test]
     fn a_word_is_occupied_if_one_of_its_leaves_is() {
-        // 9 leaves: 66 to 73 voxels.
-        for flagged in 0..9 {
-            let leaves: Vec<bool> = (0..9).map(|leaf| leaf == flagged).collect();
-            assert_eq!([0, 1].map(|word| is_word_occupied(&leaves, word)), [flagged < 8, flagged == 8]);
+        // 9 leaves along x (66 to 73 voxels) and 2 along y, the second plane of leaves.
+        for nx in [66, 73] {
+            for flagged in 0..18 {
+                let occupied: Vec<bool> = (0..36).map(|leaf| leaf == 18 + flagged).collect();
+                let mut words = OccupiedWords::new(&occupied, [nx, 12, 17], 16);
+                for row in [0, 1, 1, 0] {
+                    let expected = [flagged / 9 == row && flagged % 9 < 8, flagged / 9 == row && flagged % 9 == 8];
+                    assert_eq!(words.of_row(row), expected);
+                }
+            }
         }
         // 8 leaves of 65 voxels: the last voxel is in the last leaf.
         let last: Vec<bool> = (0..8).map(|leaf| leaf == 7).collect();
-        assert_eq!([0, 1].map(|word| is_word_occupied(&last, word)), [true, true]);
+        assert_eq!(OccupiedWords::new(&last, [65, 2, 2], 1).of_row(0), [true, true]);
     }
 }

@@ -137,13 +137,14 @@ impl<'a, T: Code> Gradients<'a, T> {
     pub fn block(&self, j: usize, k: usize, first: usize) -> GradientBlock {
         let [_, nj, nk] = self.scanlines.dims();
         let row = self.scanlines.row(j, k);
-        let codes = |j: usize, k: usize| eight(self.scanlines.row(j, k), first);
         let along_i = match first.checked_sub(1).and_then(|from| row.get(from..first + BLOCK + 1)) {
             Some(around) => difference(eight(around, 2), eight(around, 0)),
             None => difference_at_an_end(row, first),
         };
-        let along_j = difference(codes((j + 1).min(nj - 1), k), codes(j.saturating_sub(1), k));
-        let along_k = difference(codes(j, (k + 1).min(nk - 1)), codes(j, k.saturating_sub(1)));
+        let (before, after) = (self.scanlines.row(j.saturating_sub(1), k), self.scanlines.row((j + 1).min(nj - 1), k));
+        let along_j = difference(eight(after, first), eight(before, first));
+        let (before, after) = (self.scanlines.row(j, k.saturating_sub(1)), self.scanlines.row(j, (k + 1).min(nk - 1)));
+        let along_k = difference(eight(after, first), eight(before, first));
         // In the volume's own order, so that sums round alike for all principal axes.
         let mut differences = [[0.0; BLOCK]; 3];
         for (axis, along) in self.scanlines.axes().into_iter().zip([along_i, along_j, along_k]) {
@@ -196,16 +197,13 @@ pub fn magnitudes([x, y, z]: &GradientBlock) -> [f32; BLOCK] {
 #[inline(always)]
 fn eight<T: Code>(row: &[T], first: usize) -> [i32; BLOCK] {
     let mut codes = [0; BLOCK];
-    match row.get(first..first + BLOCK) {
-        Some(within) => {
-            for n in 0..BLOCK {
-                codes[n] = within[n].as_i32();
-            }
+    if let Some(within) = row.get(first..first + BLOCK) {
+        for n in 0..BLOCK {
+            codes[n] = within[n].as_i32();
         }
-        None => {
-            for (n, code) in codes.iter_mut().enumerate() {
-                *code = row[(first + n).min(row.len() - 1)].as_i32();
-            }
+    } else {
+        for (n, code) in codes.iter_mut().enumerate() {
+            *code = row[(first + n).min(row.len() - 1)].as_i32();
         }
     }
     codes
@@ -222,6 +220,7 @@ fn difference(after: [i32; BLOCK], before: [i32; BLOCK]) -> [f32; BLOCK] {
 }
 
 /// Differences along a scanline where the neighbours of eight voxels are not all within it.
+#[inline(never)]
 fn difference_at_an_end<T: Code>(row: &[T], first: usize) -> [f32; BLOCK] {
     let code = |i: usize| row[i.min(row.len() - 1)].as_i32();
     std::array::from_fn(|n| (code(first + n + 1) - code((first + n).saturating_sub(1).min(row.len() - 1))) as f32)

@@ -10,13 +10,13 @@ use bytemuck::zeroed_vec;
 use rayon::prelude::*;
 
 use super::{Plane, RunLengthVolume, Voxel};
-use crate::classify::marks::{VisibleCodes, WORD, is_word_occupied, turn, words};
+use crate::classify::marks::{OccupiedWords, VisibleCodes, WORD, turn, words};
 use crate::classify::tables::CodeTables;
 use crate::classify::transfer::TransferFunction;
 use crate::simd::{self, Kernel};
 use crate::volume::PreparedVolume;
 use crate::volume::gradient::{BLOCK, Code, GradientFrame, Gradients, magnitudes, normals};
-use crate::volume::octree::{leaf_of, leaves_along};
+use crate::volume::octree::leaf_of;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
 const _: () = assert!(BLOCK == 8, "a block's marks are a byte");
@@ -104,13 +104,13 @@ impl<T: Code> EncodePlane<'_, T> {
     #[inline(always)]
     fn mark(&self, marked: &mut [u64]) {
         let Encoder { scanlines, visible, occupied, .. } = self.encoder;
-        let [nx, ny, nz] = scanlines.dims();
-        let [bx, by] = [leaves_along(nx), leaves_along(ny)];
+        let dims @ [nx, ny, _] = scanlines.dims();
+        let mut occupied = OccupiedWords::new(occupied, dims, self.z);
         for (y, marked) in marked.chunks_exact_mut(words(nx)).enumerate() {
-            let leaves = &occupied[(leaf_of(self.z, nz) * by + leaf_of(y, ny)) * bx..][..bx];
             let row = scanlines.row(y, self.z);
-            for (word, marked) in marked.iter_mut().enumerate() {
-                if is_word_occupied(leaves, word) {
+            let occupied = occupied.of_row(leaf_of(y, ny));
+            for (word, (marked, occupied)) in marked.iter_mut().zip(occupied).enumerate() {
+                if *occupied {
                     *marked = visible.mark_voxels(row, word * WORD);
                 }
             }
@@ -146,8 +146,7 @@ impl<T: Code> EncodePlane<'_, T> {
         let Encoder { scanlines, gradients, .. } = self.encoder;
         along_x.voxels = zeroed_vec(along_x.marks());
         along_y.voxels = zeroed_vec(along_y.marks());
-        let mut deck = along_x.voxels.iter_mut();
-        let mut places = along_y.starts.clone();
+        let (mut next, mut places) = (0, along_y.starts.clone());
         for (y, marked) in along_x.marked.chunks_exact(along_x.words).enumerate() {
             let row = scanlines.row(y, self.z);
             for block in Blocks::new(marked) {
@@ -155,7 +154,8 @@ impl<T: Code> EncodePlane<'_, T> {
                 for n in block.voxels() {
                     let x = block.first + n;
                     let voxel = Voxel { code: row[x].into(), normal: normals[n] };
-                    *deck.next().expect("a place for each mark") = voxel;
+                    along_x.voxels[next] = voxel;
+                    next += 1;
                     along_y.voxels[places[x] as usize] = voxel;
                     places[x] += 1;
                 }
