@@ -2,7 +2,7 @@
 //!
 //! Every pixel's ray is cut where it enters and leaves the volume and sampled at equal steps; a sample
 //! is trilinearly interpolated, then classified, then shaded by the interpolated gradient
-//! ([`composite`]), or only the largest, the smallest or the mean sample is kept ([`projection`]).
+//! (`composite`), or only the largest, the smallest or the mean sample is kept (`projection`).
 //! Nothing is tabulated or quantized, so that the picture converges to the optical model as the step
 //! shrinks, and what differs from it elsewhere is the other's error.
 //!

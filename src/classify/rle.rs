@@ -182,13 +182,13 @@ impl RunLengthVolume {
 
     /// What encoding so many voxels, those of the occupied leaves, can take in memory at most.
     pub(super) fn bytes_at_most([nx, ny, nz]: [usize; 3], voxels: u64) -> u64 {
-        // A voxel and its factor take 5 bytes, a run 4. Of n voxels v are encoded in at most n - v runs and
-        // one for each word, so that both together take 5 n at most, besides those and the rows.
+        // A voxel and its factor take 5 bytes in each order.
         let order = |length: usize, rows: usize| {
-            let per_row = size_of::<[u32; 2]>() + length.div_ceil(WORD) * size_of::<Run>();
-            5 * voxels + ((rows * nz + nz) * per_row) as u64
+            let per_plane = rows * words(length) * size_of::<u64>() + (rows + 1) * size_of::<u32>();
+            5 * voxels + (nz * per_plane) as u64
         };
-        order(nx, ny) + order(ny, nx)
+        let filled = words(nz) * nx + words(nz) * ny + words(ny) * nz;
+        order(nx, ny) + order(ny, nx) + (filled * size_of::<u64>()) as u64
     }
 
     /// The encoding for a principal axis (0: x, 1: y, 2: z).

@@ -149,8 +149,8 @@ struct Phases {
     total: Vec<Duration>,
     /// Of the final image.
     image_bytes: u64,
-    /// Of the frame whose intermediate image has the most pixels.
-    intermediate_size: [usize; 2],
+    /// Of the frame whose intermediate images are the largest.
+    intermediate_bytes: u64,
 }
 
 impl Phases {
@@ -172,11 +172,9 @@ impl Phases {
         self.total.push(total);
         self.image_bytes = image.pixels.len() as u64;
         if stage.classified.is_some() {
-            let size = Factorization::new(&view, stage.prepared.volume()).map_or([0, 0], |f| f.size);
-            let pixels = |[width, height]: [usize; 2]| width * height;
-            if pixels(size) > pixels(self.intermediate_size) {
-                self.intermediate_size = size;
-            }
+            let parts = Factorization::parts(&view, stage.prepared.volume()).unwrap_or_default();
+            let bytes = parts.iter().map(|part| IntermediateImage::new(part.size).bytes()).sum();
+            self.intermediate_bytes = self.intermediate_bytes.max(bytes);
         }
         Ok(())
     }
@@ -230,17 +228,15 @@ fn prepare_ms(stage: &Stage, load: Duration, preintegration_table: Duration) -> 
         .collect()
 }
 
-/// `images` are the intermediate image, where there is one, and the final one.
+/// `images` are the intermediate images, where there are any, and the final one.
 fn bytes(stage: &Stage, phases: &Phases) -> Named<u64> {
     let classified = stage.classified.iter().flat_map(|c| c.bytes());
-    let intermediate =
-        stage.classified.as_ref().map_or(0, |_| IntermediateImage::new(phases.intermediate_size).bytes());
     stage
         .prepared
         .bytes()
         .into_iter()
         .chain(classified)
-        .chain([("images", intermediate + phases.image_bytes)])
+        .chain([("images", phases.intermediate_bytes + phases.image_bytes)])
         .collect()
 }
 

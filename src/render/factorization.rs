@@ -14,13 +14,21 @@
 //! not blurred, and the lattice does not depend on the direction in which slices are stored. A
 //! final pixel's ray meets the front slice in one point, which gives the warp without inverting a view
 //! matrix: (u, v) is an affine function of (x, y).
+//!
+//! Perspective rays become parallel where slices are scaled too, about the eye; `perspective`
+//! has the argument. What follows sees one kind of thing: pixel (u, v) meets slice `k` in voxel
+//! coordinates `offset + scale (u, v)`, the slice's [`Lattice`]. Under parallel projection the scale is 1.
+
+mod perspective;
+#[cfg(test)]
+mod tests;
 
 use std::ops::Range;
 
-use glam::{DAffine2, DMat4, DVec2, DVec3};
+use glam::{DAffine2, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
-use super::view::{Rays, View};
+use super::view::{HalfSpace, Rays, View};
 use crate::volume::Volume;
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
@@ -37,14 +45,7 @@ const OFFSET_STEP: f64 = 1.0 / 16384.0;
 /// Pixels of an intermediate image at most (1 GiB).
 const MAX_PIXELS: usize = 1 << 26;
 
-/// Half of sheared space: `u, v` pixels and slices `k` with `coefficients . (u, v, k) + offset >= 0`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ShearedHalfSpace {
-    pub coefficients: DVec3,
-    pub offset: f64,
-}
-
-/// The shear-warp factorization of a parallel view.
+/// The shear-warp factorization of a view, or of a part of one: rays with one principal axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Factorization {
     /// The volume's axis along which slices are stacked.
@@ -53,19 +54,48 @@ pub struct Factorization {
     pub dims: [usize; 3],
     /// True where the viewer stands beyond the last slice: front to back is k descending.
     pub reversed: bool,
-    shear: DVec2,
-    /// Where slice 0 begins: the module's translation less the shear from slice 0 to the front.
-    translation: DVec2,
+    /// Slices in front of the viewer: all of them, unless the eye stands among them.
+    pub slices: Range<usize>,
+    /// The slice that positions along the rays are counted from: the nearest to the viewer or, where the
+    /// eye stands among the slices, the one that it stands on or has just behind it.
+    pub front: usize,
+    /// Position of the eye where it stands among the slices, 0..1; else 0.
+    pub start: f64,
+    shear: Shear,
     /// Pixels of the intermediate image along u and v.
     pub size: [usize; 2],
-    /// The rays' direction in the world, unit.
+    /// The camera's axis in the world, unit; under parallel projection the rays' direction.
     pub direction: DVec3,
-    /// Length of a ray between two slices, mm.
+    /// Length of a ray between two slices, mm; in perspective, of the shortest.
     pub slice_distance: f64,
-    /// The warp: intermediate pixels (samples at integers) from final pixel coordinates.
-    pub sheared_from_image: DAffine2,
-    /// The view's clip planes.
-    pub clip: Vec<ShearedHalfSpace>,
+    /// World mm that the ray of pixel (u, v, 1) advances by from slice to slice.
+    ray: DMat3,
+    /// The warp: intermediate pixels (samples at integers), homogeneous, from final pixel coordinates.
+    pub sheared_from_image: DMat3,
+    /// The least and the greatest position, in pixels, at which a final pixel sees a slice. The image
+    /// has at least one pixel more along either axis.
+    pub extent: [DVec2; 2],
+    /// The view's clip planes, in voxel coordinates.
+    clip: Vec<HalfSpace>,
+}
+
+/// What makes the rays parallel to `k`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Shear {
+    /// Slice `k` begins at pixel `per_slice k + translation`.
+    Parallel { per_slice: DVec2, translation: DVec2 },
+    /// Pixel (u, v) lies at voxel coordinates `origin + (u, v)` of a plane that is parallel to the slices
+    /// and `distance` of them away from the eye.
+    /// Rays have these directions in voxels of the volume's own axes, by final pixel coordinates (x, y, 1).
+    Perspective { eye: DVec3, distance: f64, origin: DVec2, directions: DMat3 },
+}
+
+/// Where pixels meet a slice: (u, v) at voxel coordinates `offset + scale (u, v)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lattice {
+    pub offset: DVec2,
+    /// Voxels from one pixel to the next.
+    pub scale: f64,
 }
 
 /// Where a slice lies over the intermediate image: pixel (u, v) gathers from the voxels
@@ -79,105 +109,152 @@ pub struct SlicePlacement {
 }
 
 impl Factorization {
-    /// Factors `view` on `volume`.
+    /// The parts of `view` on `volume`, each with its own principal axis: one for most views, none where
+    /// nothing of the volume is in the picture.
     ///
     /// # Errors
-    /// [`RenderError::Unsupported`] for a perspective view, and where the intermediate image would
-    /// outgrow memory.
-    pub fn new(view: &View, volume: &Volume) -> Result<Self, RenderError> {
-        let Rays::Parallel { corner, dx, dy, direction } = *view.rays() else {
-            return Err(RenderError::Unsupported {
-                pointer: "/camera/projection",
-                detail: "the algorithm classified is for parallel projection".into(),
-            });
+    /// [`RenderError::Unsupported`] where the intermediate image would outgrow memory.
+    pub fn parts(view: &View, volume: &Volume) -> Result<Vec<Self>, RenderError> {
+        let parts = match *view.rays() {
+            Rays::Parallel { corner, dx, dy, direction } => {
+                vec![Self::parallel([dx, dy, corner], direction, view, volume)]
+            }
+            Rays::Perspective { eye, corner, dx, dy } => perspective::parts([dx, dy, corner], eye, view, volume),
         };
+        for Self { size: [width, height], .. } in &parts {
+            if width.saturating_mul(*height) > MAX_PIXELS {
+                let detail = format!("the intermediate image would have {width} x {height} pixels, over {MAX_PIXELS}");
+                return Err(RenderError::Unsupported { pointer: "/camera", detail });
+            }
+        }
+        Ok(parts)
+    }
+
+    /// A parallel view: rays along `direction` from points that `point_from_image` gives as columns for
+    /// x, y and 1.
+    fn parallel([dx, dy, corner]: [DVec3; 3], direction: DVec3, view: &View, volume: &Volume) -> Self {
         let world_from_index = volume.world_from_index();
         let index_from_world = world_from_index.inverse();
         let along = index_from_world.transform_vector3(direction);
         let principal_axis = principal_axis(along);
-        let permutation = PERMUTATIONS[principal_axis];
-        let permuted = |v: DVec3| DVec3::from_array(permutation.map(|axis| v[axis]));
-        let dims = permutation.map(|axis| volume.dims()[axis]);
-        let d = permuted(along);
+        let dims = PERMUTATIONS[principal_axis].map(|axis| volume.dims()[axis]);
+        let d = permuted(principal_axis, along);
         let shear = -d.truncate() / d.z;
         let last_slice = (dims[2] - 1) as f64;
         let reversed = d.z < 0.0;
         let (front, depth) = if reversed { (last_slice, -last_slice) } else { (0.0, last_slice) };
         let translation = (-shear * depth).max(DVec2::ZERO).ceil() - shear * front;
-        let size = [0, 1].map(|axis| dims[axis] + (shear[axis].abs() * last_slice).ceil() as usize + 1);
-        if size[0].saturating_mul(size[1]) > MAX_PIXELS {
-            return Err(RenderError::Unsupported {
-                pointer: "/camera",
-                detail: format!(
-                    "the intermediate image would have {} x {} pixels, over {MAX_PIXELS}",
-                    size[0], size[1]
-                ),
-            });
-        }
         // All points of a ray shear to the same place.
         let sheared = |p: DVec3| p.truncate() + shear * p.z;
-        let vector = |v: DVec3| sheared(permuted(index_from_world.transform_vector3(v)));
-        let start = sheared(permuted(index_from_world.transform_point3(corner)));
-        let sheared_from_image = DAffine2::from_cols(vector(dx), vector(dy), start + translation);
-        let mut factorization = Self {
+        let vector = |v: DVec3| sheared(permuted(principal_axis, index_from_world.transform_vector3(v)));
+        let start = sheared(permuted(principal_axis, index_from_world.transform_point3(corner)));
+        let [first, last] = [0.0, last_slice].map(|k| shear * k + translation);
+        let face = DVec2::new((dims[0] - 1) as f64, (dims[1] - 1) as f64);
+        Self {
             principal_axis,
             dims,
             reversed,
-            shear,
-            translation,
-            size,
+            slices: 0..dims[2],
+            front: if reversed { dims[2] - 1 } else { 0 },
+            start: 0.0,
+            shear: Shear::Parallel { per_slice: shear, translation },
+            size: [0, 1].map(|axis| dims[axis] + (shear[axis].abs() * last_slice).ceil() as usize + 1),
             direction,
             slice_distance: 1.0 / d.z.abs(),
-            sheared_from_image,
-            clip: vec![],
-        };
-        factorization.clip = factorization.sheared_clip(view, &world_from_index);
-        Ok(factorization)
+            ray: DMat3::from_cols(DVec3::ZERO, DVec3::ZERO, direction / d.z.abs()),
+            sheared_from_image: DAffine2::from_cols(vector(dx), vector(dy), start + translation).into(),
+            extent: [DVec2::ZERO, first.max(last) + face],
+            clip: clip(principal_axis, view, &world_from_index),
+        }
     }
 
-    /// The view's half-spaces in sheared space.
-    fn sheared_clip(&self, view: &View, world_from_index: &DMat4) -> Vec<ShearedHalfSpace> {
-        let permutation = PERMUTATIONS[self.principal_axis];
-        let to_sheared = |half: &super::view::HalfSpace| {
-            let [i, j, k] = permutation.map(|axis| half.normal.dot(world_from_index.col(axis).truncate()));
-            let in_slice = DVec2::new(i, j);
-            ShearedHalfSpace {
-                coefficients: in_slice.extend(k - in_slice.dot(self.shear)),
-                offset: half.normal.dot(world_from_index.col(3).truncate()) + half.offset
-                    - in_slice.dot(self.translation),
+    /// Slices from the front one to the last.
+    pub fn layers(&self) -> usize {
+        if self.reversed { self.front - self.slices.start } else { self.slices.end - 1 - self.front }
+    }
+
+    /// Where along k the position is that rays reach after so many slices from the front one.
+    pub fn along(&self, position: f64) -> f64 {
+        let front = self.front as f64;
+        if self.reversed { front - position } else { front + position }
+    }
+
+    /// How many intervals between slices slice `k` stands for: half of each that it bounds, and all of what
+    /// lies between the eye and the first slice in front of it. n slices span n - 1 intervals.
+    pub fn share(&self, k: usize) -> f64 {
+        let (nearest, farthest) = if self.reversed {
+            (self.slices.end - 1, self.slices.start)
+        } else {
+            (self.slices.start, self.slices.end - 1)
+        };
+        let before = match k == nearest {
+            true if nearest == self.front => 0.0,
+            true => 1.0 - self.start,
+            false => 0.5,
+        };
+        before + if k == farthest { 0.0 } else { 0.5 }
+    }
+
+    /// True where no slice is scaled: each lies on the pixel lattice but for an offset.
+    pub fn is_parallel(&self) -> bool {
+        matches!(self.shear, Shear::Parallel { .. })
+    }
+
+    /// True where final pixel coordinates belong to this part of a picture that has several.
+    pub fn owns(&self, at: DVec2) -> bool {
+        match self.shear {
+            Shear::Parallel { .. } => true,
+            Shear::Perspective { directions, .. } => {
+                let direction = directions * at.extend(1.0);
+                let axis = principal_axis(direction);
+                axis == self.principal_axis && (direction[axis] < 0.0) == self.reversed
             }
-        };
-        view.clip().iter().map(to_sheared).collect()
+        }
     }
 
-    /// The slices lie between (0, 0) and this, intermediate pixels. The image has at least one
-    /// pixel more along either axis.
-    pub fn extent(&self) -> DVec2 {
-        let last_slice = (self.dims[2] - 1) as f64;
-        let offsets = [0.0, last_slice].map(|k| self.shear * k + self.translation);
-        offsets[0].max(offsets[1]) + DVec2::new((self.dims[0] - 1) as f64, (self.dims[1] - 1) as f64)
+    /// Where pixels meet slice `k`, which may be between two slices of voxels.
+    pub fn lattice(&self, k: f64) -> Lattice {
+        match self.shear {
+            Shear::Parallel { per_slice, translation } => {
+                Lattice { offset: -(per_slice * k + translation), scale: 1.0 }
+            }
+            Shear::Perspective { eye, distance, origin, .. } => {
+                let scale = (k - eye.z).abs() / distance;
+                Lattice { offset: eye.truncate() * (1.0 - scale) + origin * scale, scale }
+            }
+        }
     }
 
-    /// Where slice `k` lies over the intermediate image.
+    /// Where slice `k` of a parallel view lies over the intermediate image.
     pub fn slice(&self, k: usize) -> SlicePlacement {
         self.placement(k as f64)
     }
 
-    /// Where a slice lies over the intermediate image that may be between two slices of voxels.
+    /// Where a slice of a parallel view lies over the intermediate image that may be between two slices
+    /// of voxels.
     pub fn placement(&self, k: f64) -> SlicePlacement {
-        let offset = (self.shear * k + self.translation) / OFFSET_STEP;
+        let offset = -self.lattice(k).offset / OFFSET_STEP;
         let offset = offset.round().max(DVec2::ZERO) * OFFSET_STEP;
         let first = offset.ceil();
         let fraction = (first - offset).as_vec2();
         SlicePlacement { first: [first.x as usize, first.y as usize], fraction: fraction.to_array() }
     }
 
-    /// The index coordinates (the volume's axes x, y, z) of pixel (u, v) of a slice, which may be
-    /// between two slices of voxels.
-    pub fn index_from_sheared(&self, u: f64, v: f64, k: f64) -> DVec3 {
-        let in_slice = DVec2::new(u, v) - (self.shear * k + self.translation);
+    /// True where the view has clip planes.
+    pub fn is_clipped(&self) -> bool {
+        !self.clip.is_empty()
+    }
+
+    /// Voxel coordinates i, j, k of pixel (u, v) of a slice, which may be between two slices of voxels.
+    pub fn voxel_from_sheared(&self, u: f64, v: f64, k: f64) -> DVec3 {
+        let Lattice { offset, scale } = self.lattice(k);
+        (offset + DVec2::new(u, v) * scale).extend(k)
+    }
+
+    /// Index coordinates (the volume's axes x, y, z) of voxel coordinates i, j, k.
+    pub fn index_from_voxel(&self, voxel: DVec3) -> DVec3 {
         let mut index = DVec3::ZERO;
-        for (axis, at) in PERMUTATIONS[self.principal_axis].into_iter().zip([in_slice.x, in_slice.y, k]) {
+        for (axis, at) in PERMUTATIONS[self.principal_axis].into_iter().zip(voxel.to_array()) {
             index[axis] = at;
         }
         index
@@ -186,10 +263,12 @@ impl Factorization {
     /// The pixels u of scanline `v` that the view's clip planes leave of a slice, which may be between
     /// two slices of voxels.
     pub fn visible_pixels(&self, v: usize, k: f64) -> Range<usize> {
+        let Lattice { offset, scale } = self.lattice(k);
+        let start = DVec3::new(offset.x, offset.y + scale * v as f64, k);
         let (mut low, mut high) = (0.0, (self.size[0] - 1) as f64);
         for half in &self.clip {
-            let rate = half.coefficients.x;
-            let rest = half.coefficients.y * v as f64 + half.coefficients.z * k + half.offset;
+            let rate = half.normal.x * scale;
+            let rest = half.normal.dot(start) + half.offset;
             if rate > 0.0 {
                 low = f64::max(low, -rest / rate);
             } else if rate < 0.0 {
@@ -201,55 +280,50 @@ impl Factorization {
         if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
     }
 
-    /// True for the two outermost slices, which stand for half an interval each: n slices span
-    /// n - 1 intervals.
-    pub fn is_outermost(&self, k: usize) -> bool {
-        k == 0 || k == self.dims[2] - 1
+    /// The eye in voxel coordinates i, j, k; `None` where rays are parallel.
+    pub fn eye(&self) -> Option<DVec3> {
+        match self.shear {
+            Shear::Parallel { .. } => None,
+            Shear::Perspective { eye, .. } => Some(eye),
+        }
     }
+
+    /// From a voxel to the next along i, j, k, world mm.
+    pub fn world_from_steps(&self, volume: &Volume) -> DMat3 {
+        let world_from_index = volume.world_from_index();
+        let [i, j, k] = PERMUTATIONS[self.principal_axis].map(|axis| world_from_index.col(axis).truncate());
+        DMat3::from_cols(i, j, k)
+    }
+
+    /// [`Self::relative_length`] of all pixels of some scanlines.
+    pub fn relative_lengths(&self, vs: Range<usize>, lengths: &mut Vec<f32>) {
+        lengths.clear();
+        let pixels = vs.flat_map(|v| (0..self.size[0]).map(move |u| (u, v)));
+        lengths.extend(pixels.map(|(u, v)| self.relative_length(u, v)));
+    }
+
+    /// Length of the ray of pixel (u, v) between two slices, in units of [`Self::slice_distance`].
+    pub fn relative_length(&self, u: usize, v: usize) -> f32 {
+        ((self.ray * DVec3::new(u as f64, v as f64, 1.0)).length() / self.slice_distance) as f32
+    }
+}
+
+/// A vector or point in the order i, j, k of a principal axis.
+fn permuted(principal_axis: usize, v: DVec3) -> DVec3 {
+    DVec3::from_array(PERMUTATIONS[principal_axis].map(|axis| v[axis]))
+}
+
+/// The view's half-spaces in permuted voxel coordinates.
+fn clip(principal_axis: usize, view: &View, world_from_index: &DMat4) -> Vec<HalfSpace> {
+    let in_voxels = |half: &HalfSpace| HalfSpace {
+        normal: permuted(principal_axis, world_from_index.transpose().transform_vector3(half.normal)),
+        offset: half.normal.dot(world_from_index.col(3).truncate()) + half.offset,
+    };
+    view.clip().iter().map(in_voxels).collect()
 }
 
 /// The axis most parallel to the rays, in index space, so that no slice shears by more than a voxel.
 fn principal_axis(along: DVec3) -> usize {
     let along = along.abs();
     [1, 0].into_iter().fold(2, |best, axis| if along[axis] > along[best] * AXIS_MARGIN { axis } else { best })
-}
-
-#[cfg(test)]
-mod tests {
-    use glam::DVec2;
-
-    use super::*;
-    use crate::render::{Camera, Orbit};
-    use crate::volume::phantom;
-
-    /// Both ways from a voxel to the final image agree: through the world, and through sheared
-    /// space and the warp.
-    #[test]
-    fn shear_and_warp_together_are_the_view() {
-        let volume = phantom::uniform([30, 40, 50], 1.0);
-        for step in 0..60 {
-            let orbit = Orbit {
-                azimuth: f64::from(step) * 37.0,
-                elevation: f64::from(step % 7) * 25.0 - 80.0,
-                roll: f64::from(step) * 5.0,
-                zoom: 1.3,
-                ..Orbit::default()
-            };
-            let view = View::new(&Camera::Orbit(orbit), volume.centre(), volume.radius(), 200, 150).unwrap();
-            let f = Factorization::new(&view, &volume).unwrap();
-            let at = DVec2::new(f64::from(step) * 3.0, 140.0 - f64::from(step));
-            let ray = view.ray(at);
-            let index_from_world = volume.world_from_index().inverse();
-            let (start, along) =
-                (index_from_world.transform_point3(ray.origin), index_from_world.transform_vector3(ray.direction));
-            let k = 7.0;
-            let axes = PERMUTATIONS[f.principal_axis];
-            let t = (k - start[axes[2]]) / along[axes[2]];
-            let point = DVec3::from_array(axes.map(|axis| start[axis] + t * along[axis]));
-            let expected = point.truncate() + f.shear * k + f.translation;
-            assert!((f.sheared_from_image.transform_point2(at) - expected).length() < 1e-9);
-            assert_eq!(f.reversed, along[axes[2]] < 0.0);
-            assert!(f.shear.abs().max_element() <= 1.0 + 1e-5);
-        }
-    }
 }

@@ -6,12 +6,15 @@
 //! 2003, colour correction). The two outermost slices stand for half an interval and have a table
 //! of their own.
 //!
-//! Whether a voxel is shaded and whether its extinction is scaled by a gradient opacity are type
+//! What lights a voxel and whether its extinction is scaled by a gradient opacity are type
 //! parameters: chosen once per frame, never asked per voxel.
+
+use std::fmt::Debug;
 
 use glam::Vec4;
 
 use super::factorization::Factorization;
+use super::ray_light::RayLight;
 use super::shade::ShadingTable;
 use crate::classify::CodeTables;
 use crate::classify::rle::Voxel;
@@ -19,25 +22,28 @@ use crate::classify::rle::Voxel;
 /// Colour and opacity by code, for a ray's length through a slice.
 #[derive(Clone, Debug)]
 pub struct SliceTables {
-    /// For inner slices and for the two outermost. Red, green, blue as they are; then opacity, or
+    /// By how many intervals a slice stands for. Red, green, blue as they are; then opacity, or
     /// (with gradient opacity) the optical depth.
-    entries: [Vec<Vec4>; 2],
+    entries: Vec<(f64, Vec<Vec4>)>,
 }
 
 impl SliceTables {
     /// For the view's slice distance. With `optical_depth` the fourth component is left as
     /// extinction times length, to be scaled by a voxel's gradient opacity.
     pub fn new(tables: &CodeTables, factorization: &Factorization, optical_depth: bool) -> Self {
-        let entries = [1.0, 0.5].map(|share| {
+        let mut shares: Vec<f64> = factorization.slices.clone().map(|k| factorization.share(k)).collect();
+        shares.sort_by(f64::total_cmp);
+        shares.dedup();
+        let entries = shares.into_iter().map(|share| {
             let length = (factorization.slice_distance * share) as f32;
             let entry = |(tau, [r, g, b]): (&f32, &[f32; 3])| {
                 let depth = tau * length;
                 let w = if optical_depth || depth == 0.0 { depth } else { opacity(depth) };
                 Vec4::new(*r, *g, *b, w)
             };
-            tables.extinction.iter().zip(&tables.color).map(entry).collect()
+            (share, tables.extinction.iter().zip(&tables.color).map(entry).collect())
         });
-        Self { entries }
+        Self { entries: entries.collect() }
     }
 }
 
@@ -47,45 +53,130 @@ fn opacity(depth: f32) -> f32 {
     -(-depth).exp_m1()
 }
 
+/// What voxels are lit by.
+pub trait Light: Copy + Debug + Send + Sync {
+    /// False where colours stay as they are.
+    const LIT: bool;
+    /// True where light is found for eight voxels at once.
+    const BLOCKS: bool;
+
+    /// Factors on and addends to the colours of consecutive voxels from (i, j, k) on, by their normals' codes.
+    fn shade<const N: usize>(self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2];
+}
+
+/// Colours as they are.
+#[derive(Clone, Copy, Debug)]
+pub struct Unlit;
+
+impl Light for Unlit {
+    const LIT: bool = false;
+    const BLOCKS: bool = false;
+
+    #[inline(always)]
+    fn shade<const N: usize>(self, _: &[u16; N], _: [usize; 3]) -> [[f32; N]; 2] {
+        [[1.0; N], [0.0; N]]
+    }
+}
+
+/// Parallel rays: the normal tells it all.
+#[derive(Clone, Copy, Debug)]
+pub struct ByNormal<'a>(pub &'a ShadingTable);
+
+impl Light for ByNormal<'_> {
+    const LIT: bool = true;
+    const BLOCKS: bool = false;
+
+    #[inline(always)]
+    fn shade<const N: usize>(self, normals: &[u16; N], _: [usize; 3]) -> [[f32; N]; 2] {
+        let mut light = [[0.0; N]; 2];
+        for (n, normal) in normals.iter().enumerate() {
+            [light[0][n], light[1][n]] = self.0.entries()[usize::from(*normal)];
+        }
+        light
+    }
+}
+
+/// Each voxel along the ray that it is seen by.
+#[derive(Clone, Copy, Debug)]
+pub struct ByRay<'a>(pub &'a RayLight);
+
+impl Light for ByRay<'_> {
+    const LIT: bool = true;
+    const BLOCKS: bool = true;
+
+    #[inline(always)]
+    fn shade<const N: usize>(self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2] {
+        self.0.of_normals(normals, at)
+    }
+}
+
 /// Voxel -> premultiplied colour and opacity.
 #[derive(Clone, Copy, Debug)]
-pub struct Material<'a, const LIT: bool, const FACTORED: bool> {
+pub struct Material<'a, H, const FACTORED: bool> {
     tables: &'a SliceTables,
-    shades: &'a [[f32; 2]],
+    light: H,
 }
 
 /// A [`Material`] for the voxels of one slice.
 #[derive(Clone, Copy, Debug)]
-pub struct SliceMaterial<'a, const LIT: bool, const FACTORED: bool> {
+pub struct SliceMaterial<'a, H, const FACTORED: bool> {
     table: &'a [Vec4],
-    shades: &'a [[f32; 2]],
+    light: H,
 }
 
-impl<'a, const LIT: bool, const FACTORED: bool> Material<'a, LIT, FACTORED> {
-    /// `shading` is needed where `LIT`; `tables` must hold optical depths where `FACTORED`.
-    pub fn new(tables: &'a SliceTables, shading: Option<&'a ShadingTable>) -> Self {
-        Self { tables, shades: shading.map_or(&[], ShadingTable::entries) }
+impl<'a, H: Light, const FACTORED: bool> Material<'a, H, FACTORED> {
+    /// `tables` must hold optical depths where `FACTORED`.
+    pub fn new(tables: &'a SliceTables, light: H) -> Self {
+        Self { tables, light }
     }
 
-    /// For an inner or an outermost slice.
+    /// For a slice that stands for `share` intervals, as one of the factorization does.
     #[inline(always)]
-    pub fn slice(&self, outermost: bool) -> SliceMaterial<'a, LIT, FACTORED> {
-        SliceMaterial { table: &self.tables.entries[usize::from(outermost)], shades: self.shades }
+    pub fn slice(&self, share: f64) -> SliceMaterial<'a, H, FACTORED> {
+        let entries = &self.tables.entries;
+        let (_, table) = entries.iter().find(|entry| entry.0 == share).unwrap_or(&entries[0]);
+        SliceMaterial { table, light: self.light }
     }
 }
 
-impl<const LIT: bool, const FACTORED: bool> SliceMaterial<'_, LIT, FACTORED> {
+impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
+    /// Factors on and addends to the colours of consecutive voxels from (i, j, k) on, by their normals' codes.
+    #[inline(always)]
+    pub fn light<const N: usize>(&self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2] {
+        self.light.shade(normals, at)
+    }
+
     /// Premultiplied colour and opacity of a voxel; `factor` is its gradient opacity, 255 = 1.
     #[inline(always)]
-    pub fn color(&self, voxel: Voxel, factor: u8) -> Vec4 {
-        let entry = self.table[usize::from(voxel.code)];
+    pub fn color(&self, code: u16, factor: u8, [scale, add]: [f32; 2]) -> Vec4 {
+        let entry = self.table[usize::from(code)];
         let alpha = if FACTORED { opacity(entry.w * f32::from(factor) / 255.0) } else { entry.w };
-        let color = if LIT {
-            let [scale, add] = self.shades[usize::from(voxel.normal)];
-            (entry * scale + Vec4::splat(add)).min(Vec4::ONE)
-        } else {
-            entry
-        };
+        let color = if H::LIT { (entry * scale + Vec4::splat(add)).min(Vec4::ONE) } else { entry };
         (color * alpha).with_w(alpha)
+    }
+
+    /// The colours of consecutive voxels from (i, j, k) on; `factors` are looked at where `FACTORED`.
+    #[inline(always)]
+    pub fn colors(&self, voxels: &[Voxel], factors: &[u8], at: [usize; 3], out: &mut [Vec4]) {
+        if H::BLOCKS {
+            self.colors_by::<8>(voxels, factors, at, out);
+        } else {
+            self.colors_by::<1>(voxels, factors, at, out);
+        }
+    }
+
+    #[inline(always)]
+    fn colors_by<const N: usize>(&self, voxels: &[Voxel], factors: &[u8], [i, j, k]: [usize; 3], out: &mut [Vec4]) {
+        for (block, (voxels, out)) in voxels.chunks(N).zip(out.chunks_mut(N)).enumerate() {
+            let mut normals = [0; N];
+            for (normal, voxel) in normals.iter_mut().zip(voxels) {
+                *normal = voxel.normal;
+            }
+            let [scales, addends] = self.light(&normals, [i + block * N, j, k]);
+            for (n, (out, voxel)) in out.iter_mut().zip(voxels).enumerate() {
+                let factor = if FACTORED { factors[block * N + n] } else { u8::MAX };
+                *out = self.color(voxel.code, factor, [scales[n], addends[n]]);
+            }
+        }
     }
 }

@@ -6,6 +6,7 @@ mod image;
 pub mod intermediate;
 pub mod lighting;
 pub mod material;
+pub mod ray_light;
 pub mod shade;
 mod shear_image;
 mod shear_warp;
@@ -335,9 +336,9 @@ pub struct Scene<'a> {
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    match settings.way(view) {
+    match settings.way() {
         Way::ImageOrder | Way::ShearImage => Ok(()),
-        Way::ShearWarp => Factorization::new(view, volume).map(|_| ()),
+        Way::ShearWarp => Factorization::parts(view, volume).map(|_| ()),
     }
 }
 
@@ -349,12 +350,10 @@ enum Way {
 }
 
 impl Settings {
-    fn way(&self, view: &View) -> Way {
-        match (self.algorithm, self.blend, self.quality, view.projection()) {
+    fn way(&self) -> Way {
+        match (self.algorithm, self.blend, self.quality) {
             (Algorithm::Raycast, ..) => Way::ImageOrder,
-            (_, Blend::Projection(..), ..)
-            | (Algorithm::Preintegrated, _, Quality::High, _)
-            | (Algorithm::Preintegrated, _, _, Projection::Perspective) => Way::ShearImage,
+            (_, Blend::Projection(..), _) | (Algorithm::Preintegrated, _, Quality::High) => Way::ShearImage,
             _ => Way::ShearWarp,
         }
     }
@@ -371,7 +370,7 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match settings.way(view) {
+    match settings.way() {
         Way::ImageOrder => reference(scene, view, settings, cancel),
         Way::ShearImage => shear_image::frame(scene, view, settings, cancel),
         Way::ShearWarp => shear_warp::frame(scene, view, settings, cancel),

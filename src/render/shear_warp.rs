@@ -5,10 +5,11 @@ mod voxels;
 
 use std::time::{Duration, Instant};
 
-use super::composite::cue::DepthTables;
+use super::composite::cue::Cue;
 use super::composite::{Composite, naive};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
+use super::ray_light::RayLight;
 use super::shade::ShadingTable;
 use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
 use crate::classify::Classification;
@@ -22,47 +23,72 @@ pub(super) fn frame(
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
     let start = Instant::now();
+
+    // Factor the view into shear and warp; a wide perspective view part by part.
+    let parts = Factorization::parts(view, scene.prepared.volume())?;
+
+    // Shear, resample and composite the slices into an intermediate image for each part.
+    let (mut shade, mut tables) = (start.elapsed(), Duration::ZERO);
+    let mut images = vec![];
+    for factorization in &parts {
+        let begun = Instant::now();
+        let (image, Begun { at, preintegration_table }) = part(scene, view, factorization, settings, cancel)?;
+        images.push(image);
+        shade += at - begun - preintegration_table;
+        tables += preintegration_table;
+    }
+    let composite = start.elapsed();
+
+    // Warp the intermediate images into the final one.
+    let (width, height) = view.size();
+    let channels = settings.background.channels();
+    let mut pixels = vec![0; width as usize * height as usize * channels];
+    let parts: Vec<_> =
+        parts.iter().zip(&images).map(|(factorization, image)| warp::Part { factorization, image }).collect();
+    warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
+    let render = start.elapsed();
+
+    let (composite, warp) = (composite - shade - tables, render - composite);
+    let timings = Timings { preintegration_table: tables, shade, composite, warp, render };
+    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+}
+
+/// The intermediate image of a part of the view.
+fn part(
+    scene: &Scene<'_>,
+    view: &View,
+    factorization: &Factorization,
+    settings: &Settings,
+    cancel: &Cancel,
+) -> Result<(IntermediateImage, Begun), RenderError> {
+    // Make the tables that depend on the view: light by normal (in perspective there is none, for
+    // every ray has its own), fading by depth, and, in the pass, opacity and colour by code or by
+    // pairs of them.
     let volume = scene.prepared.volume();
-
-    // Factor the view into shear and warp.
-    let factorization = Factorization::new(view, volume)?;
-
-    // Make the tables that depend on the view: shading by normal, fading by depth, and, in the pass,
-    // opacity and colour by code or by pairs of them.
     let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-    let shading =
-        settings.shading.as_ref().map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame));
-    let cue = settings.depth_cueing.as_ref().map(|cueing| DepthTables::new(cueing, view, volume, &factorization));
+    let shading = settings.shading.as_ref();
+    let ray_light = shading.and_then(|s| RayLight::new(s, volume, factorization));
+    let table = match &ray_light {
+        None => shading.map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame)),
+        Some(_) => None,
+    };
+    let cue = settings.depth_cueing.as_ref().map(|cueing| Cue::new(cueing, view, volume, factorization));
     let pass = Pass {
         scene,
         classification: scene.classification.expect("the algorithm needs a classification"),
-        factorization: &factorization,
-        shading: shading.as_ref(),
+        factorization,
+        table: table.as_ref(),
+        ray_light: ray_light.as_ref(),
         cue: cue.as_ref(),
         settings,
         cancel,
     };
-
-    // Shear, resample and composite the slices into the intermediate image.
-    let mut intermediate = IntermediateImage::new(factorization.size);
+    let mut image = IntermediateImage::new(factorization.size);
     let begun = match settings.algorithm {
-        Algorithm::Preintegrated => pass.slabs(&mut intermediate),
-        _ => pass.voxels(&mut intermediate),
+        Algorithm::Preintegrated => pass.slabs(&mut image),
+        _ => pass.voxels(&mut image),
     }?;
-    let composite = start.elapsed();
-
-    // Warp the intermediate image into the final one.
-    let (width, height) = view.size();
-    let channels = settings.background.channels();
-    let mut pixels = vec![0; width as usize * height as usize * channels];
-    warp::warp(&intermediate, &factorization, &settings.background, width as usize, &mut pixels, cancel)?;
-    let render = start.elapsed();
-
-    let Begun { at: ready, preintegration_table } = begun;
-    let (shade, composite, warp) =
-        (ready - start - preintegration_table, composite - (ready - start), render - composite);
-    let timings = Timings { preintegration_table, shade, composite, warp, render };
-    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+    Ok((image, begun))
 }
 
 /// What compositing takes from the frame, whatever its type parameters.
@@ -71,8 +97,10 @@ struct Pass<'a> {
     scene: &'a Scene<'a>,
     classification: &'a Classification,
     factorization: &'a Factorization,
-    shading: Option<&'a ShadingTable>,
-    cue: Option<&'a DepthTables>,
+    /// Where the volume is shaded: by normal under parallel projection, by ray in perspective.
+    table: Option<&'a ShadingTable>,
+    ray_light: Option<&'a RayLight>,
+    cue: Option<&'a Cue>,
     settings: &'a Settings,
     cancel: &'a Cancel,
 }

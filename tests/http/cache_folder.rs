@@ -24,7 +24,7 @@ async fn a_restart_takes_the_kept_encodings_and_rebuilds_damaged_ones() {
     let picture = service.get(FRAME).await.bytes().await.unwrap();
     let (_, mut volumes) = service.stop().await;
     let files = kept(cache.path());
-    assert_eq!(files.len(), 1, "the default preset's encodings and no others");
+    assert_eq!(files.len(), 2, "the default preset's encodings at both levels and no others");
     let sound = fs::read(&files[0]).unwrap();
 
     let mut flipped = sound.clone();
@@ -50,7 +50,7 @@ async fn a_volume_replaced_under_its_name_gets_encodings_of_its_own() {
     let service = Running::start_in(volumes, &config(cache.path())).await;
     assert_ne!(service.get(FRAME).await.headers()["etag"], etag);
     assert_ne!(service.get(FRAME).await.bytes().await.unwrap(), picture);
-    assert_eq!(kept(cache.path()).len(), 2);
+    assert_eq!(kept(cache.path()).len(), 4);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -60,5 +60,5 @@ async fn transfer_functions_of_clients_are_not_kept() {
     let body = r##"{"transfer_function": {"points": [{"value": 0, "opacity": 0, "color": "#000000"},
         {"value": 200, "opacity": 0.7, "color": "#ffffff"}]}}"##;
     assert_eq!(service.post("/v1/volumes/ball/frame", body).await.status(), 200);
-    assert_eq!(kept(cache.path()).len(), 1);
+    assert_eq!(kept(cache.path()).len(), 2);
 }

@@ -6,6 +6,7 @@ mod equivalence;
 mod golden;
 mod invariance;
 mod layering;
+mod perspective;
 mod projections;
 mod ramp;
 mod scenes;

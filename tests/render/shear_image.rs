@@ -154,7 +154,7 @@ fn wide_views_from_within_are_the_ray_casters_without_a_step_at_the_joints() {
         let frame = scene.frame(&view, &settings);
         let reference = Settings { algorithm: Algorithm::Raycast, sample_distance: 0.05, ..settings };
         let (largest, mean) = differences(&frame, &scene.frame(&view, &reference));
-        assert!(largest <= 3 && mean < 0.3, "{fov_y}: {largest} at most, {mean} in the mean");
+        assert!(largest <= 4 && mean < 0.3, "{fov_y}: {largest} at most, {mean} in the mean");
     }
 }
 

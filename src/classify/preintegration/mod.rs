@@ -8,7 +8,7 @@
 //! color(f, b) = int_0^1 tau(s(w)) c(s(w)) exp(-d * int_0^w tau) d dw     premultiplied
 //! ```
 //!
-//! The transfer function is integrated where the table is made ([`medium`]), however sharp its peaks
+//! The transfer function is integrated where the table is made (`medium`), however sharp its peaks
 //! are, and not sampled where the slices happen to be.
 
 mod axis;
@@ -63,7 +63,7 @@ impl Form {
 }
 
 /// Rounding of a sampled scalar: what is resampled from voxels of code `c` alone is within `c * ROUNDING`.
-const ROUNDING: f32 = 1e-6;
+const ROUNDING: f32 = 1e-5;
 
 /// Rounding of a position on the axis, below what [`table`] rounds positions to.
 const POSITION_ROUNDING: f32 = 1.0 / 4096.0;

@@ -47,6 +47,15 @@ impl Mask {
         }
     }
 
+    /// Adds the pixels of `range`, as far as the scanline goes.
+    #[inline(always)]
+    pub fn add(&mut self, range: Range<usize>) {
+        let end = range.end.min((self.words.len() - 1) * WORD);
+        for at in range.start / WORD..end.div_ceil(WORD) {
+            self.words[at] |= below(end, at) & !below(range.start, at);
+        }
+    }
+
     /// Keeps the pixels of `range` that are set in `open`. False where none is left.
     #[inline(always)]
     pub fn keep(&mut self, open: &[u64], range: &Range<usize>) -> bool {
@@ -125,7 +134,7 @@ mod tests {
 
     #[test]
     fn cells_are_shifted_to_their_pixels_and_continued_by_their_borders() {
-        for (count, first) in [(63usize, 0usize), (63, 1), (64, 5), (70, 64), (130, 63), (1, 0), (1, 7)] {
+        for (count, first) in [(63usize, 0), (63, 1), (64, 5), (70, 64), (130, 63), (1, 0), (1, 7)] {
             for marked in [0, count / 2, count - 1] {
                 let mut cells = vec![0; count.div_ceil(WORD)];
                 cells[marked / WORD] |= 1 << (marked % WORD);

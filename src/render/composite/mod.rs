@@ -17,11 +17,15 @@
 //! it all the slow way and tests hold both together bit for bit.
 
 pub mod cue;
+pub mod footprint;
+pub mod lattice;
 mod mask;
 pub mod naive;
 pub mod occupied;
 mod rows;
 pub mod samples;
+mod scaled;
+mod scaled_voxels;
 pub mod slabs;
 pub mod sources;
 mod spans;

@@ -6,15 +6,18 @@
 use glam::Vec4;
 use rayon::prelude::*;
 
+use super::footprint::Footprint;
+use super::lattice::{Lattice, Scaled, Unit};
 use super::over;
-use super::samples::{self, Position, VoxelRows, lerp};
+use super::samples::{Position, VoxelRows, lerp};
 use super::slabs::SlabComposite;
 use super::sources::VoxelSource;
-use super::voxels::{Voxels, Weights};
+use super::voxels::{VoxelLattice, Voxels, Weights};
 use crate::classify::preintegration::Slabs;
-use crate::render::factorization::SlicePlacement;
+use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::IntermediateImage;
-use crate::render::slab::Correction;
+use crate::render::material::Light;
+use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{Cancel, RenderError};
 use crate::volume::gradient::Code;
 
@@ -41,32 +44,23 @@ pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel)
     })
 }
 
-impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Pixels for Voxels<'_, V, LIT, FACTORED> {
+impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Pixels
+    for Voxels<'_, L, V, H, FACTORED>
+{
     fn pixel(&self, u: usize, v: usize) -> Vec4 {
         let f = self.factorization;
         let mut pixel = Vec4::ZERO;
-        for step in 0..f.dims[2] {
-            let k = if f.reversed { f.dims[2] - 1 - step } else { step };
-            let slice = f.slice(k);
-            if !contains(&slice, f.dims, [u, v]) || !(f.clip.is_empty() || f.visible_pixels(v, k as f64).contains(&u)) {
+        for step in 0..f.slices.len() {
+            let k = if f.reversed { f.slices.end - 1 - step } else { f.slices.start + step };
+            if f.is_clipped() && !f.visible_pixels(v, k as f64).contains(&u) {
                 continue;
             }
-            let (i, j) = (u - slice.first[0], v - slice.first[1]);
-            let material = self.material.slice(f.is_outermost(k));
-            // Past the end, where the weight is zero, there is nothing.
-            let voxel = |i: usize, j: usize| match self.source.voxel([i, j, k]).filter(|_| i < f.dims[0]) {
-                Some((voxel, factor)) => material.color(voxel, factor),
-                None => Vec4::ZERO,
-            };
-            let row = |j: usize| [voxel(i, j), voxel(i + 1, j)];
-            let weights = Weights::new(slice.fraction[0], slice.fraction[1]);
-            let mut sample = if slice.fraction[1] > 0.0 {
-                weights.sample::<true>(row(j), row(j + 1))
-            } else {
-                weights.sample::<false>(row(j), [Vec4::ZERO; 2])
-            };
+            let Some(mut sample) = L::on_slice(f, k, [u, v], |i, j| self.color([i, j, k])) else { continue };
+            if L::LENGTHS {
+                sample *= opacity_ratio(sample.w, f.relative_length(u, v));
+            }
             if let Some(cue) = self.cue {
-                sample = (sample * (cue.slice(k as f64) * cue.along_v[v] * cue.along_u[u])).with_w(sample.w);
+                sample = (sample * cue.slice(k as f64).scanline(v).at(u)).with_w(sample.w);
             }
             pixel = over(pixel, sample);
             if pixel.w >= self.opaque {
@@ -74,6 +68,21 @@ impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Pixels for Voxels<'_
             }
         }
         pixel
+    }
+}
+
+impl<L, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
+    /// The colour of a voxel, zero where it is transparent. Past the end, where the weight is zero, there
+    /// is nothing.
+    fn color(&self, at: [usize; 3]) -> Vec4 {
+        let material = self.material.slice(self.factorization.share(at[2]));
+        match self.source.voxel(at).filter(|_| at[0] < self.factorization.dims[0]) {
+            Some((voxel, factor)) => {
+                let [[scale], [add]] = material.light(&[voxel.normal], at);
+                material.color(voxel.code, factor, [scale, add])
+            }
+            None => Vec4::ZERO,
+        }
     }
 }
 
@@ -85,26 +94,48 @@ fn contains(slice: &SlicePlacement, dims: [usize; 3], pixel: [usize; 2]) -> bool
     })
 }
 
-impl<T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, T, S, C> {
+/// A lattice's way to sample, told for one pixel.
+pub trait NaiveLattice: Lattice {
+    /// The sample at pixel (u, v), slices being continued by their borders.
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        dims: [usize; 3],
+        position: &Position<Self::Placement>,
+        pixel: [usize; 2],
+    ) -> Vec4;
+
+    /// What is resampled at pixel (u, v) of slice `k` of voxels, which `voxel` gives by i and j; `None` where
+    /// the pixel does not lie on the slice.
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        pixel: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4>;
+}
+
+impl<L: NaiveLattice, T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, T, S, C> {
     fn pixel(&self, u: usize, v: usize) -> Vec4 {
         let f = self.factorization;
         let mut pixel = Vec4::ZERO;
-        for n in 0..self.slabs() {
-            let middle = samples::along(f, n as f64 + 0.5, self.steps);
-            if !contains(&f.placement(middle), f.dims, [u, v])
-                || !(f.clip.is_empty() || f.visible_pixels(v, middle).contains(&u))
-            {
+        for n in self.slabs() {
+            let slab = self.place(n);
+            let inside = slab.pixels.contains(&u) && slab.scanlines.contains(&v);
+            if !inside || f.is_clipped() && !f.visible_pixels(v, slab.middle).contains(&u) {
                 continue;
             }
-            let [front, back] = [n, n + 1].map(|n| {
-                let position = Position::new(f, n, self.steps);
-                let sample = sample(&self.voxels, f.dims, &position, u, v);
+            let [front, back] = [&slab.front, &slab.back].map(|position| {
+                let sample = L::pixel(&self.voxels, f.dims, position, [u, v]);
                 sample.with_x(self.table.coordinate(sample.x))
             });
-            let lit = self.voxels.is_lit();
-            let mut sample = if lit { self.sample::<true>(front, back) } else { self.sample::<false>(front, back) };
-            if let Some(cue) = self.cue {
-                sample = (sample * (cue.slice(middle) * cue.along_v[v] * cue.along_u[u])).with_w(sample.w);
+            let length = if L::LENGTHS { f.relative_length(u, v) * slab.share } else { 1.0 };
+            let mut sample = if self.voxels.is_lit() {
+                self.sample::<true>(front, back, length)
+            } else {
+                self.sample::<false>(front, back, length)
+            };
+            if let Some(cue) = slab.cue {
+                sample = (sample * cue.scanline(v).at(u)).with_w(sample.w);
             }
             pixel = over(pixel, sample);
             if pixel.w >= self.opaque {
@@ -115,17 +146,83 @@ impl<T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, T, S, C> {
     }
 }
 
-/// The sample at a pixel, slices being continued by their borders.
-fn sample<T: Code>(voxels: &VoxelRows<'_, T>, dims: [usize; 3], position: &Position, u: usize, v: usize) -> Vec4 {
-    let SlicePlacement { first, fraction } = position.placement;
-    let clamped = |at: usize, axis: usize| at.saturating_sub(first[axis]).min(dims[axis] - 1);
-    let before = |at: usize, axis: usize| clamped(at, axis);
-    let after = |at: usize, axis: usize| clamped(at + 1, axis);
-    let on_slice = |k: usize| {
-        let voxel = |i: usize, j: usize| voxels.block(j, k, i)[0];
-        let column = |i: usize| lerp(voxel(i, before(v, 1)), voxel(i, after(v, 1)), fraction[1]);
-        lerp(column(before(u, 0)), column(after(u, 0)), fraction[0])
+impl NaiveLattice for Unit {
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        dims: [usize; 3],
+        position: &Position<SlicePlacement>,
+        [u, v]: [usize; 2],
+    ) -> Vec4 {
+        let SlicePlacement { first, fraction } = position.placement;
+        let clamped = |at: usize, axis: usize| at.saturating_sub(first[axis]).min(dims[axis] - 1);
+        let before = |at: usize, axis: usize| clamped(at, axis);
+        let after = |at: usize, axis: usize| clamped(at + 1, axis);
+        let on_slice = |k: usize| {
+            let voxel = |i: usize, j: usize| voxels.block(j, k, i)[0];
+            let column = |i: usize| lerp(voxel(i, before(v, 1)), voxel(i, after(v, 1)), fraction[1]);
+            lerp(column(before(u, 0)), column(after(u, 0)), fraction[0])
+        };
+        let near = on_slice(position.near);
+        position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
+    }
+
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        [u, v]: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4> {
+        let slice = factorization.slice(k);
+        if !contains(&slice, factorization.dims, [u, v]) {
+            return None;
+        }
+        let (i, j) = (u - slice.first[0], v - slice.first[1]);
+        let row = |j: usize| [voxel(i, j), voxel(i + 1, j)];
+        let weights = Weights::new(slice.fraction[0], slice.fraction[1]);
+        Some(if slice.fraction[1] > 0.0 {
+            weights.sample::<true>(row(j), row(j + 1))
+        } else {
+            weights.sample::<false>(row(j), [Vec4::ZERO; 2])
+        })
+    }
+}
+
+impl NaiveLattice for Scaled {
+    fn pixel<T: Code>(
+        voxels: &VoxelRows<'_, T>,
+        _: [usize; 3],
+        position: &Position<[Footprint; 2]>,
+        [u, v]: [usize; 2],
+    ) -> Vec4 {
+        let on_slice = |k: usize| scaled(position.placement, [u, v], |i, j| voxels.block(j, k, i)[0]);
+        let near = on_slice(position.near);
+        position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
+    }
+
+    fn on_slice(
+        factorization: &Factorization,
+        k: usize,
+        [u, v]: [usize; 2],
+        voxel: impl Fn(usize, usize) -> Vec4,
+    ) -> Option<Vec4> {
+        let placement = Self::placement(factorization, k as f64);
+        let [us, vs] = Self::inside(factorization, &placement);
+        (us.contains(&u) && vs.contains(&v)).then(|| scaled(placement, [u, v], voxel))
+    }
+}
+
+/// The voxels under a pixel, weighted: scanlines first.
+fn scaled([along_u, along_v]: [Footprint; 2], [u, v]: [usize; 2], voxel: impl Fn(usize, usize) -> Vec4) -> Vec4 {
+    let under = |footprint: Footprint, at: usize| {
+        let first = footprint.first(at);
+        (first..first + footprint.taps()).map(move |voxel| (voxel, footprint.weight(at, voxel)))
     };
-    let near = on_slice(position.near);
-    position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
+    let column = |i: usize| sum(under(along_v, v).map(|(j, weight)| voxel(i, j) * weight));
+    sum(under(along_u, u).map(|(i, weight)| column(i) * weight))
+}
+
+/// The sum of one or more, from the first on.
+fn sum(mut terms: impl Iterator<Item = Vec4>) -> Vec4 {
+    let first = terms.next().expect("a voxel under every pixel");
+    terms.fold(first, |sum, term| sum + term)
 }

@@ -10,17 +10,17 @@ use super::samples::BLOCK;
 use super::sources::{ShadedRow, VoxelSource};
 use super::spans::Spans;
 use super::{WORD, run_mask};
-use crate::render::material::SliceMaterial;
+use crate::render::material::{Light, SliceMaterial};
 
 /// One voxel scanline.
 #[derive(Debug)]
-struct Row {
+pub struct Row {
     /// The scanline's j, where one was entered.
-    j: Option<usize>,
+    pub j: Option<usize>,
     /// Premultiplied colour and opacity by voxel; one more than the scanline has, always zero.
-    voxels: Vec<Vec4>,
+    pub voxels: Vec<Vec4>,
     /// Non-transparent voxels (or, until they are classified, those that may be), a bit each.
-    marked: Vec<u64>,
+    pub marked: Vec<u64>,
     /// Voxels whose marks are known to be of drawn ones.
     classified: Vec<u64>,
     /// Voxels to shade.
@@ -31,7 +31,8 @@ struct Row {
 }
 
 impl Row {
-    fn new(length: usize) -> Self {
+    /// For scanlines of `length` voxels.
+    pub fn new(length: usize) -> Self {
         let words = length.div_ceil(WORD) + 1;
         Self {
             j: None,
@@ -62,8 +63,9 @@ impl Row {
         self.j = None;
     }
 
+    /// Becomes scanline `j`, with nothing shaded yet.
     #[inline(always)]
-    fn enter<V: VoxelSource>(&mut self, source: V, j: usize, scanline: &V::Scanline) {
+    pub fn enter<V: VoxelSource>(&mut self, source: V, j: usize, scanline: &V::Scanline) {
         self.clear();
         self.j = Some(j);
         self.empty = source.is_empty(scanline);
@@ -74,7 +76,7 @@ impl Row {
 
     /// Takes back the marks of `touched` voxels that are not drawn.
     #[inline(always)]
-    fn classify<V: VoxelSource>(&mut self, source: V, scanline: &V::Scanline, touched: &[u64]) {
+    pub fn classify<V: VoxelSource>(&mut self, source: V, scanline: &V::Scanline, touched: &[u64]) {
         for (word, (marked, touched)) in self.marked.iter_mut().zip(touched).enumerate() {
             let mut asked = *marked & touched & !self.classified[word];
             while asked != 0 {
@@ -88,19 +90,21 @@ impl Row {
         }
     }
 
-    /// Shades the marked ones of `touched` voxels that are not there yet.
+    /// Shades the marked ones of `touched` voxels of slice `k` that are not there yet.
     #[inline(always)]
-    fn shade<V: VoxelSource, const LIT: bool, const FACTORED: bool>(
+    pub fn shade<V: VoxelSource, H: Light, const FACTORED: bool>(
         &mut self,
         source: V,
         scanline: &V::Scanline,
         touched: &[u64],
-        material: SliceMaterial<'_, LIT, FACTORED>,
+        k: usize,
+        material: SliceMaterial<'_, H, FACTORED>,
     ) {
         for ((asked, marked), touched) in self.asked.iter_mut().zip(&self.marked).zip(touched) {
             *asked = marked & touched;
         }
-        let row = ShadedRow { voxels: &mut self.voxels, shaded: &mut self.shaded };
+        let at = [self.j.unwrap_or_default(), k];
+        let row = ShadedRow { voxels: &mut self.voxels, shaded: &mut self.shaded, at };
         source.shade(scanline, &self.asked, row, material);
     }
 }
@@ -168,19 +172,19 @@ impl RowBuffers {
         self.upper.marked[word] | self.lower.marked[word]
     }
 
-    /// Shades the voxels that the spans' pixels touch.
+    /// Shades the voxels of slice `k` that the spans' pixels touch.
     #[inline(always)]
-    pub fn shade<V: VoxelSource, const LIT: bool, const FACTORED: bool>(
+    pub fn shade<V: VoxelSource, H: Light, const FACTORED: bool>(
         &mut self,
         source: V,
         upper: &V::Scanline,
         lower: Option<&V::Scanline>,
-        spans: &Spans,
-        material: SliceMaterial<'_, LIT, FACTORED>,
+        (spans, k): (&Spans, usize),
+        material: SliceMaterial<'_, H, FACTORED>,
     ) {
-        self.upper.shade(source, upper, spans.touched(), material);
+        self.upper.shade(source, upper, spans.touched(), k, material);
         if let Some(lower) = lower {
-            self.lower.shade(source, lower, spans.touched(), material);
+            self.lower.shade(source, lower, spans.touched(), k, material);
         }
     }
 

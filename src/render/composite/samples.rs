@@ -13,16 +13,28 @@
 use glam::Vec4;
 
 use super::WORD;
+use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, SlicePlacement};
+use crate::render::ray_light::RayLight;
 use crate::volume::Volume;
 use crate::volume::gradient::{Code, GradientBlock, GradientFrame, Gradients, magnitudes, normals};
 use crate::volume::scanlines::Scanlines;
 
 /// Voxels that are read at once.
 pub use crate::volume::gradient::BLOCK;
+
+/// What voxels are lit by.
+#[derive(Clone, Copy, Debug)]
+pub enum VoxelLight<'a> {
+    Off,
+    /// Factor and addend by code of the normal.
+    ByNormal(&'a [[f32; 2]]),
+    /// Along the ray that each is seen by.
+    ByRay(&'a RayLight),
+}
 
 /// A volume's voxels as one principal axis walks them, to be sampled.
 #[derive(Clone, Copy, Debug)]
@@ -31,8 +43,7 @@ pub struct VoxelRows<'a, T> {
     gradients: Gradients<'a, T>,
     /// Voxels along i, j, k.
     dims: [usize; 3],
-    /// Factor and addend by code of the normal; empty where nothing is shaded.
-    shades: &'a [[f32; 2]],
+    light: VoxelLight<'a>,
     gradient_opacity: Option<&'a TransferFunction>,
 }
 
@@ -42,14 +53,14 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         scanlines: Scanlines<'a, T>,
         volume: &'a Volume,
         factorization: &Factorization,
-        shades: &'a [[f32; 2]],
+        light: VoxelLight<'a>,
         transfer: &'a TransferFunction,
     ) -> Self {
         Self {
             scanlines,
             gradients: Gradients::new(scanlines, &GradientFrame::new(volume.placement(), volume.rescale().0)),
             dims: factorization.dims,
-            shades,
+            light,
             gradient_opacity: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
         }
     }
@@ -57,7 +68,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// True where samples have light.
     #[inline(always)]
     pub fn is_lit(&self) -> bool {
-        !self.shades.is_empty()
+        !matches!(self.light, VoxelLight::Off)
     }
 
     /// Samples at eight voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
@@ -66,10 +77,16 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     pub fn block(&self, j: usize, k: usize, first: usize) -> [Vec4; BLOCK] {
         let codes = eight(self.scanlines.row(j, k), first);
         let (mut factor, mut addend, mut density) = ([1.0; BLOCK], [0.0; BLOCK], [1.0; BLOCK]);
-        if self.is_lit() {
-            let normals = self.normals(j, k, first);
-            for n in 0..BLOCK {
-                [factor[n], addend[n]] = self.shades[usize::from(normals[n])];
+        match self.light {
+            VoxelLight::Off => {}
+            VoxelLight::ByNormal(shades) => {
+                let normals = self.normals(j, k, first);
+                for n in 0..BLOCK {
+                    [factor[n], addend[n]] = shades[usize::from(normals[n])];
+                }
+            }
+            VoxelLight::ByRay(light) => {
+                [factor, addend] = light.of_gradients(&self.gradients(j, k, first), [first, j, k]);
             }
         }
         if self.has_gradient_opacity() {
@@ -145,53 +162,53 @@ fn eight<T: Code>(row: &[T], first: usize) -> [f32; BLOCK] {
 
 /// Where a slice of samples lies: on a slice of voxels or between two.
 #[derive(Clone, Copy, Debug)]
-pub struct Position {
-    pub placement: SlicePlacement,
+pub struct Position<P> {
+    pub placement: P,
     /// Slice of voxels at or before it, in the order of the walk.
     pub near: usize,
     /// The slice after it and how far towards it, 0..1; `None` on a slice of voxels.
     pub far: Option<(usize, f32)>,
 }
 
-impl Position {
-    /// The samples of step `n`, where `steps` lead from a slice of voxels to the next.
-    pub fn new(factorization: &Factorization, n: usize, steps: usize) -> Self {
-        let last = factorization.dims[2] - 1;
-        let stored = |slice: usize| if factorization.reversed { last - slice } else { slice };
-        let (slice, part) = (n / steps, n % steps);
-        let fraction = part as f64 / steps as f64;
+impl<P> Position<P> {
+    /// The samples at a position along the rays, counted in slices from the front one.
+    pub fn new<L: Lattice<Placement = P>>(factorization: &Factorization, position: f64) -> Self {
+        let stored = |slice: f64| factorization.along(slice) as usize;
+        let (slice, fraction) = (position.floor(), position.fract());
         Self {
-            placement: factorization.placement(along(factorization, n as f64, steps)),
+            placement: L::placement(factorization, factorization.along(position)),
             near: stored(slice),
-            far: (part > 0).then(|| (stored(slice + 1), fraction as f32)),
+            far: (fraction > 0.0).then(|| (stored(slice + 1.0), fraction as f32)),
         }
     }
 }
 
-/// The position along k of step `n`, where `steps` lead from a slice of voxels to the next.
-pub fn along(factorization: &Factorization, n: f64, steps: usize) -> f64 {
-    let at = n / steps as f64;
-    if factorization.reversed { (factorization.dims[2] - 1) as f64 - at } else { at }
-}
-
 /// A voxel scanline as samples. Voxel i is at i + 1: the scanline's ends are repeated once.
 #[derive(Debug)]
-struct Row {
-    j: Option<usize>,
-    voxels: Vec<Vec4>,
+pub struct Row {
+    pub j: Option<usize>,
+    pub voxels: Vec<Vec4>,
     /// Blocks that are there.
     fetched: Vec<bool>,
 }
 
 impl Row {
-    fn new(length: usize) -> Self {
+    /// For scanlines of `length` voxels.
+    pub fn new(length: usize) -> Self {
         let blocks = length.div_ceil(BLOCK);
         Self { j: None, voxels: vec![Vec4::ZERO; blocks * BLOCK + 2], fetched: vec![false; blocks] }
     }
 
+    /// Becomes scanline `j`, nothing of which is there yet.
+    #[inline(always)]
+    pub fn enter(&mut self, j: usize) {
+        self.j = Some(j);
+        self.fetched.fill(false);
+    }
+
     /// Reads voxels `first..=last` of scanline `j` of slice `k`, which the row is for.
     #[inline(always)]
-    fn fetch<T: Code>(&mut self, rows: &VoxelRows<'_, T>, j: usize, k: usize, first: usize, last: usize) {
+    pub fn fetch<T: Code>(&mut self, rows: &VoxelRows<'_, T>, j: usize, k: usize, first: usize, last: usize) {
         for block in first / BLOCK..=last / BLOCK {
             if !self.fetched[block] {
                 self.fetched[block] = true;
@@ -246,8 +263,7 @@ impl RowPair {
 
     #[inline(always)]
     fn replace(&mut self, at: usize, j: usize) -> usize {
-        self.rows[at].j = Some(j);
-        self.rows[at].fetched.fill(false);
+        self.rows[at].enter(j);
         at
     }
 }
@@ -272,7 +288,7 @@ impl SampleRows {
         &mut self,
         voxels: &VoxelRows<'_, T>,
         table: S,
-        position: &Position,
+        position: &Position<SlicePlacement>,
         v: usize,
         mask: &Mask,
         (out, base): (&mut [Vec4], isize),

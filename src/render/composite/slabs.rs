@@ -22,10 +22,11 @@ use std::ops::Range;
 
 use glam::Vec4;
 
-use super::cue::DepthTables;
+use super::cue::{Cue, ScanlineCue, SliceCue};
+use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use super::occupied::Occupied;
-use super::samples::{self, Position, SampleRows, VoxelRows};
+use super::samples::{Position, VoxelRows};
 use super::{CANCEL_STEP, Composite, clear_bits, over};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::Factorization;
@@ -36,14 +37,15 @@ use crate::volume::gradient::Code;
 
 /// What the bands of a frame share.
 #[derive(Debug)]
-pub struct SlabComposite<'a, T, S, C> {
+pub struct SlabComposite<'a, L, T, S, C> {
+    pub lattice: L,
     pub factorization: &'a Factorization,
     pub voxels: VoxelRows<'a, T>,
     pub occupied: Occupied<'a>,
     pub table: S,
     pub correction: C,
     /// `None`: nothing fades.
-    pub cue: Option<&'a DepthTables>,
+    pub cue: Option<&'a Cue>,
     /// Slabs from a slice of voxels to the next.
     pub steps: usize,
     pub buffer: BufferSlice,
@@ -54,9 +56,11 @@ pub struct SlabComposite<'a, T, S, C> {
 
 /// Row buffers, masks and buffer slices of a thread.
 #[derive(Debug)]
-pub struct Scratch {
-    front: SampleRows,
-    back: SampleRows,
+pub struct Scratch<R> {
+    front: R,
+    back: R,
+    /// Lengths of the pixels' rays, in units of the view's; none where they have all the same.
+    lengths: Vec<f32>,
     pixels: Mask,
     fresh: Mask,
     kept: Vec<Kept>,
@@ -72,43 +76,48 @@ struct Kept {
 }
 
 /// Where a slab lies.
-struct Slab {
+pub(super) struct Slab<'a, P> {
     number: usize,
     /// Slice of voxels below it, in the volume's order: the layer of cells that it is in.
     layer: usize,
-    front: Position,
-    back: Position,
+    pub(super) front: Position<P>,
+    pub(super) back: Position<P>,
     /// Its middle along k.
-    middle: f64,
+    pub(super) middle: f64,
+    /// Its thickness: 1, but for the first one from an eye among the slices.
+    pub(super) share: f32,
     /// Pixels along u and scanlines over which the middle is inside the volume.
-    pixels: Range<usize>,
-    scanlines: Range<usize>,
-    /// The factor of depth cueing along k.
-    cue: f32,
+    pub(super) pixels: Range<usize>,
+    pub(super) scanlines: Range<usize>,
+    /// Depth cueing in its middle.
+    pub(super) cue: Option<SliceCue<'a>>,
 }
 
-impl<T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'_, T, S, C> {
-    type Scratch = Scratch;
+impl<L: Lattice, T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, T, S, C> {
+    type Scratch = Scratch<L::Rows>;
 
-    fn scratch(&self, height: usize) -> Scratch {
-        let [length, ..] = self.factorization.dims;
+    fn scratch(&self, height: usize) -> Self::Scratch {
         let [width, _] = self.factorization.size;
         Scratch {
-            front: SampleRows::new(length),
-            back: SampleRows::new(length),
+            front: L::rows(self.factorization),
+            back: L::rows(self.factorization),
+            lengths: vec![],
             pixels: Mask::new(width),
             fresh: Mask::new(width),
             kept: vec![Kept { slab: 0, pixels: Mask::new(width) }; height],
-            buffer: Buffer::new(self.buffer, length, width, height),
+            buffer: Buffer::new(self.buffer, L::buffer_length(self.factorization), width, height),
         }
     }
 
     #[inline(always)]
-    fn band(&self, band: &mut Band<'_>, scratch: &mut Scratch) -> Result<(), RenderError> {
+    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
         for kept in &mut scratch.kept {
             kept.pixels.clear();
         }
-        for number in 0..self.slabs() {
+        if L::LENGTHS {
+            self.factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
+        }
+        for number in self.slabs() {
             if number % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
@@ -119,36 +128,35 @@ impl<T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'_, T, S, C> 
     }
 }
 
-impl<T: Code, S: Slabs, C: Correction> SlabComposite<'_, T, S, C> {
-    /// Slabs along a ray.
-    pub(super) fn slabs(&self) -> usize {
-        (self.factorization.dims[2] - 1) * self.steps
+impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C> {
+    /// The slabs along a ray, front to back.
+    pub(super) fn slabs(&self) -> Range<usize> {
+        let f = self.factorization;
+        (f.start * self.steps as f64) as usize..f.layers() * self.steps
     }
 
-    fn place(&self, number: usize) -> Slab {
+    pub(super) fn place(&self, number: usize) -> Slab<'_, L::Placement> {
         let f = self.factorization;
-        let middle = samples::along(f, number as f64 + 0.5, self.steps);
-        let inside = f.placement(middle);
-        let [pixels, scanlines] = [0, 1].map(|axis| {
-            let voxels = f.dims[axis] - usize::from(inside.fraction[axis] > 0.0);
-            inside.first[axis]..inside.first[axis] + voxels
-        });
+        let [from, to] = [number, number + 1].map(|n| (n as f64 / self.steps as f64).max(f.start));
+        let middle = f.along((from + to) / 2.0);
+        let [pixels, scanlines] = L::inside(f, &L::placement(f, middle));
         let layer = number / self.steps;
         Slab {
             number,
-            layer: if f.reversed { f.dims[2] - 2 - layer } else { layer },
-            front: Position::new(f, number, self.steps),
-            back: Position::new(f, number + 1, self.steps),
+            layer: if f.reversed { f.front - 1 - layer } else { f.front + layer },
+            front: Position::new::<L>(f, from),
+            back: Position::new::<L>(f, to),
             middle,
+            share: ((to - from) * self.steps as f64) as f32,
             pixels,
             scanlines,
-            cue: self.cue.map_or(1.0, |cue| cue.slice(middle)),
+            cue: self.cue.map(|cue| cue.slice(middle)),
         }
     }
 
     /// One slab into one band.
     #[inline(always)]
-    fn slab(&self, band: &mut Band<'_>, slab: &Slab, scratch: &mut Scratch) {
+    fn slab(&self, band: &mut Band<'_>, slab: &Slab<'_, L::Placement>, scratch: &mut Scratch<L::Rows>) {
         let rows = band.first..band.first + band.height();
         for v in slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end) {
             let row = v - band.first;
@@ -156,9 +164,9 @@ impl<T: Code, S: Slabs, C: Correction> SlabComposite<'_, T, S, C> {
             if !self.find(slab, v, &scanline, &mut scratch.pixels) {
                 continue;
             }
-            let Scratch { front, back, pixels, fresh, kept, buffer } = &mut *scratch;
+            let Scratch { front, back, lengths, pixels, fresh, kept, buffer } = &mut *scratch;
             let kept = &mut kept[row];
-            let samples = buffer.row(row, slab);
+            let samples = buffer.row(row, [&slab.front, &slab.back].map(|p| L::buffer_base(&p.placement)));
             let missing = if kept.slab + 1 == slab.number {
                 fresh.difference(pixels, &kept.pixels)
             } else {
@@ -167,11 +175,12 @@ impl<T: Code, S: Slabs, C: Correction> SlabComposite<'_, T, S, C> {
             };
             if missing {
                 let out = (&mut *samples.front, samples.front_base);
-                front.sample(&self.voxels, self.table, &slab.front, v, fresh, out);
+                L::sample(front, &self.voxels, self.table, &slab.front, (&slab.pixels, v), fresh, out);
             }
             let out = (&mut *samples.back, samples.back_base);
-            back.sample(&self.voxels, self.table, &slab.back, v, pixels, out);
-            self.blend(&mut scanline, v, slab, pixels, &samples);
+            L::sample(back, &self.voxels, self.table, &slab.back, (&slab.pixels, v), pixels, out);
+            let lengths = if L::LENGTHS { &lengths[row * self.factorization.size[0]..] } else { &[] };
+            self.blend(&mut scanline, v, slab, pixels, &samples, lengths);
             samples.keep(pixels);
             kept.slab = slab.number;
             kept.pixels.copy_from(pixels);
@@ -180,19 +189,18 @@ impl<T: Code, S: Slabs, C: Correction> SlabComposite<'_, T, S, C> {
 
     /// Finds the pixels of scanline `v` to work on; false where there is none.
     #[inline(always)]
-    fn find(&self, slab: &Slab, v: usize, scanline: &ScanlineMut<'_>, pixels: &mut Mask) -> bool {
-        let [ni, nj, _] = self.factorization.dims;
-        let cells = |position: &Position| {
-            let first = position.placement.first;
-            let j = (v + 1).saturating_sub(first[1] + 1).min(nj - 2);
-            (self.occupied.scanline(j, slab.layer), first[0])
-        };
+    fn find(&self, slab: &Slab<'_, L::Placement>, v: usize, scanline: &ScanlineMut<'_>, pixels: &mut Mask) -> bool {
         pixels.clear();
-        for (cells, first) in [cells(&slab.front), cells(&slab.back)] {
-            pixels.add_cells(cells, ni - 1, first);
-        }
+        L::mark(
+            self.factorization,
+            &self.occupied,
+            slab.layer,
+            [&slab.front.placement, &slab.back.placement],
+            v,
+            pixels,
+        );
         let any = pixels.keep(scanline.non_opaque, &slab.pixels);
-        if any && !self.factorization.clip.is_empty() {
+        if any && self.factorization.is_clipped() {
             return pixels.keep(scanline.non_opaque, &self.factorization.visible_pixels(v, slab.middle));
         }
         any
@@ -200,20 +208,32 @@ impl<T: Code, S: Slabs, C: Correction> SlabComposite<'_, T, S, C> {
 
     /// Looks slabs up and blends them behind what is there.
     #[inline(always)]
-    fn blend(&self, scanline: &mut ScanlineMut<'_>, v: usize, slab: &Slab, pixels: &Mask, samples: &BufferRow<'_>) {
+    fn blend(
+        &self,
+        scanline: &mut ScanlineMut<'_>,
+        v: usize,
+        slab: &Slab<'_, L::Placement>,
+        pixels: &Mask,
+        samples: &BufferRow<'_>,
+        lengths: &[f32],
+    ) {
         let lit = self.voxels.is_lit();
-        let along_v = self.cue.map_or(1.0, |cue| slab.cue * cue.along_v[v]);
+        let cue = slab.cue.map(|cue| cue.scanline(v));
         for (u, length) in Runs::new(pixels) {
             let run = Run {
+                u,
+                cue,
                 pixels: &mut scanline.pixels[u..][..length],
                 front: &samples.front[(u as isize - samples.front_base) as usize..][..length],
                 back: &samples.back[(u as isize - samples.back_base) as usize..][..length],
+                lengths: if L::LENGTHS { &lengths[u..][..length] } else { &[] },
+                share: slab.share,
             };
-            let opaque = match (lit, self.cue.map(|cue| &cue.along_u[u..][..length])) {
-                (false, None) => self.blend_run::<false, false>(run, &[], along_v),
-                (false, Some(cue)) => self.blend_run::<false, true>(run, cue, along_v),
-                (true, None) => self.blend_run::<true, false>(run, &[], along_v),
-                (true, Some(cue)) => self.blend_run::<true, true>(run, cue, along_v),
+            let opaque = match (lit, cue.is_some()) {
+                (false, false) => self.blend_run::<false, false>(run),
+                (false, true) => self.blend_run::<false, true>(run),
+                (true, false) => self.blend_run::<true, false>(run),
+                (true, true) => self.blend_run::<true, true>(run),
             };
             if opaque != 0 {
                 clear_bits(scanline.non_opaque, u, opaque);
@@ -223,13 +243,14 @@ impl<T: Code, S: Slabs, C: Correction> SlabComposite<'_, T, S, C> {
 
     /// Blends consecutive pixels; gives the mask of those that became opaque.
     #[inline(always)]
-    fn blend_run<const LIT: bool, const CUED: bool>(&self, run: Run<'_>, along_u: &[f32], along_v: f32) -> u64 {
+    fn blend_run<const LIT: bool, const CUED: bool>(&self, run: Run<'_>) -> u64 {
         let mut opaque = 0;
         let samples = run.front.iter().zip(run.back);
         for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
-            let mut sample = self.sample::<LIT>(*front, *back);
-            if CUED {
-                sample = (sample * (along_v * along_u[at])).with_w(sample.w);
+            let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
+            let mut sample = self.sample::<LIT>(*front, *back, length);
+            if CUED && let Some(cue) = run.cue {
+                sample = (sample * cue.at(run.u + at)).with_w(sample.w);
             }
             *pixel = over(*pixel, sample);
             opaque |= u64::from(pixel.w >= self.opaque) << at;
@@ -237,27 +258,31 @@ impl<T: Code, S: Slabs, C: Correction> SlabComposite<'_, T, S, C> {
         opaque
     }
 
-    /// Premultiplied colour and opacity between two samples.
+    /// Premultiplied colour and opacity between two samples, of a slab of so many times the view's length.
     #[inline(always)]
-    pub(super) fn sample<const LIT: bool>(&self, front: Vec4, back: Vec4) -> Vec4 {
+    pub(super) fn sample<const LIT: bool>(&self, front: Vec4, back: Vec4, length: f32) -> Vec4 {
         let mean = (front + back) * 0.5;
-        let slab = self.correction.correct(self.table.slab(front.x, back.x), mean.w);
+        let slab = self.correction.correct(self.table.slab(front.x, back.x), mean.w, length);
         if LIT { (slab * mean.y + Vec4::splat(mean.z * slab.w)).min(Vec4::splat(slab.w)).with_w(slab.w) } else { slab }
     }
 }
 
 /// Consecutive pixels and their samples.
 struct Run<'a> {
+    u: usize,
+    cue: Option<ScanlineCue<'a>>,
     pixels: &'a mut [Vec4],
     front: &'a [Vec4],
     back: &'a [Vec4],
+    lengths: &'a [f32],
+    share: f32,
 }
 
 /// The buffer slice, or rather a band's part of it.
 #[derive(Debug)]
 struct Buffer {
     kind: BufferSlice,
-    /// SB: two slices, voxel -1 first. IB: the scanlines of the image, and one of back samples.
+    /// SB: two slices. IB: the scanlines of the image, and one of back samples.
     slices: [Vec<Vec4>; 2],
     /// Samples in a scanline.
     length: usize,
@@ -275,9 +300,9 @@ struct BufferRow<'a> {
 }
 
 impl Buffer {
-    fn new(kind: BufferSlice, voxels: usize, width: usize, height: usize) -> Self {
+    fn new(kind: BufferSlice, slice: usize, width: usize, height: usize) -> Self {
         let (length, rows) = match kind {
-            BufferSlice::Slice => (voxels + 1, [height, height]),
+            BufferSlice::Slice => (slice, [height, height]),
             BufferSlice::Image => (width, [height, 1]),
         };
         Self { kind, slices: rows.map(|rows| vec![Vec4::ZERO; rows * length]), length, front: 0 }
@@ -285,7 +310,7 @@ impl Buffer {
 
     /// The scanlines of a band's row.
     #[inline(always)]
-    fn row(&mut self, row: usize, slab: &Slab) -> BufferRow<'_> {
+    fn row(&mut self, row: usize, [front_base, back_base]: [isize; 2]) -> BufferRow<'_> {
         let [first, second] = &mut self.slices;
         let at = row * self.length;
         match self.kind {
@@ -298,12 +323,11 @@ impl Buffer {
             },
             BufferSlice::Slice => {
                 let (front, back) = if self.front == 0 { (first, second) } else { (second, first) };
-                let base = |position: &Position| position.placement.first[0] as isize - 1;
                 BufferRow {
                     front: &mut front[at..][..self.length],
-                    front_base: base(&slab.front),
+                    front_base,
                     back: &mut back[at..][..self.length],
-                    back_base: base(&slab.back),
+                    back_base,
                     in_place: false,
                 }
             }

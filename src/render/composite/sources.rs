@@ -15,7 +15,7 @@ use super::run_mask;
 use super::samples::{BLOCK, VoxelRows};
 use crate::classify::CodeTables;
 use crate::classify::rle::{AxisEncoding, Scanline, Voxel};
-use crate::render::material::SliceMaterial;
+use crate::render::material::{Light, SliceMaterial};
 use crate::volume::gradient::Code;
 
 /// Voxels by scanline.
@@ -40,12 +40,12 @@ pub trait VoxelSource: Copy + Send + Sync {
 
     /// Shades the voxels that are `asked` for and not `shaded` yet (or some more) into a row of them, which
     /// is zero elsewhere. Voxels that are not drawn come out as zero.
-    fn shade<const LIT: bool, const FACTORED: bool>(
+    fn shade<H: Light, const FACTORED: bool>(
         &self,
         scanline: &Self::Scanline,
         asked: &[u64],
         row: ShadedRow<'_>,
-        material: SliceMaterial<'_, LIT, FACTORED>,
+        material: SliceMaterial<'_, H, FACTORED>,
     );
 
     /// Voxel (i, j, k) and its gradient opacity (255 = 1), the plain way; `None` where it is not drawn.
@@ -59,6 +59,8 @@ pub struct ShadedRow<'a> {
     pub voxels: &'a mut [Vec4],
     /// Voxels that are there.
     pub shaded: &'a mut [u64],
+    /// The scanline's j and k.
+    pub at: [usize; 2],
 }
 
 impl<'a> VoxelSource for AxisEncoding<'a> {
@@ -89,14 +91,15 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
 
     /// Per run the stretch from the first to the last voxel that is asked for and not there yet.
     #[inline(always)]
-    fn shade<const LIT: bool, const FACTORED: bool>(
+    fn shade<H: Light, const FACTORED: bool>(
         &self,
         scanline: &Scanline<'a>,
         asked: &[u64],
         row: ShadedRow<'_>,
-        material: SliceMaterial<'_, LIT, FACTORED>,
+        material: SliceMaterial<'_, H, FACTORED>,
     ) {
         let mut before = 0;
+        let [j, k] = row.at;
         for (word, &marked) in scanline.marked.iter().enumerate() {
             let mut missing = asked[word] & marked & !row.shaded[word];
             while missing != 0 {
@@ -106,17 +109,9 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
                 missing &= !run;
                 let place = before + (marked & !(u64::MAX << first)).count_ones() as usize;
                 let stored = place..place + end - first;
-                let out = &mut row.voxels[word * WORD + first..word * WORD + end];
-                if FACTORED {
-                    let voxels = scanline.voxels[stored.clone()].iter().zip(&scanline.factors[stored]);
-                    for (out, (voxel, factor)) in out.iter_mut().zip(voxels) {
-                        *out = material.color(*voxel, *factor);
-                    }
-                } else {
-                    for (out, voxel) in out.iter_mut().zip(&scanline.voxels[stored]) {
-                        *out = material.color(*voxel, u8::MAX);
-                    }
-                }
+                let factors = if FACTORED { &scanline.factors[stored.clone()] } else { &[] };
+                let (out, i) = (&mut row.voxels[word * WORD + first..word * WORD + end], word * WORD + first);
+                material.colors(&scanline.voxels[stored], factors, [i, j, k], out);
                 row.shaded[word] |= run_mask(first, end - first);
             }
             before += marked.count_ones() as usize;
@@ -197,12 +192,12 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
 
     /// Block by block.
     #[inline(always)]
-    fn shade<const LIT: bool, const FACTORED: bool>(
+    fn shade<H: Light, const FACTORED: bool>(
         &self,
         &(j, k, _): &Self::Scanline,
         asked: &[u64],
         row: ShadedRow<'_>,
-        material: SliceMaterial<'_, LIT, FACTORED>,
+        material: SliceMaterial<'_, H, FACTORED>,
     ) {
         for (word, (asked, shaded)) in asked.iter().zip(row.shaded).enumerate() {
             let mut missing = asked & !*shaded;
@@ -213,11 +208,12 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
                 *shaded |= mask;
                 let first = word * WORD + block * BLOCK;
                 let codes = self.voxels.codes(j, k, first);
-                let normals = if LIT { self.voxels.normals(j, k, first) } else { [0; BLOCK] };
+                let normals = if H::LIT { self.voxels.normals(j, k, first) } else { [0; BLOCK] };
+                let [scales, addends] = material.light(&normals, [first, j, k]);
                 let out = &mut row.voxels[first..first + BLOCK];
                 for n in 0..BLOCK {
                     let factor = if FACTORED { self.factor(codes[n], [first + n, j, k]) } else { u8::MAX };
-                    out[n] = material.color(Voxel { code: codes[n], normal: normals[n] }, factor);
+                    out[n] = material.color(codes[n], factor, [scales[n], addends[n]]);
                 }
             }
         }

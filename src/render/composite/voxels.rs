@@ -12,63 +12,107 @@
 
 use glam::Vec4;
 
-use super::cue::DepthTables;
+use super::cue::{Cue, ScanlineCue};
+use super::lattice::{Lattice, Unit};
 use super::rows::RowBuffers;
 use super::sources::VoxelSource;
 use super::spans::Spans;
 use super::{CANCEL_STEP, Composite, WORD, clear_bits, first_run, over, run_mask};
 use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::{Band, ScanlineMut};
-use crate::render::material::Material;
+use crate::render::material::{Light, Material};
 use crate::render::{Cancel, RenderError};
 
 /// What the bands of a frame share.
 #[derive(Debug)]
-pub struct Voxels<'a, V, const LIT: bool, const FACTORED: bool> {
+pub struct Voxels<'a, L, V, H, const FACTORED: bool> {
+    pub lattice: L,
     pub source: V,
     pub factorization: &'a Factorization,
-    pub material: Material<'a, LIT, FACTORED>,
+    pub material: Material<'a, H, FACTORED>,
     /// `None`: nothing fades.
-    pub cue: Option<&'a DepthTables>,
+    pub cue: Option<&'a Cue>,
     /// Accumulated opacity at which a pixel is done.
     pub opaque: f32,
     pub cancel: &'a Cancel,
 }
 
-impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Composite for Voxels<'_, V, LIT, FACTORED> {
-    type Scratch = (RowBuffers, Spans);
+/// A lattice over slices of single voxels.
+pub trait VoxelLattice: Lattice {
+    /// Row buffers and masks of a thread.
+    type Scratch: Send;
+
+    /// Scratch for a part of a view.
+    fn scratch(factorization: &Factorization) -> Self::Scratch;
+
+    /// What a band's slices share. Called before the first.
+    fn enter_band(factorization: &Factorization, band: &Band<'_>, scratch: &mut Self::Scratch);
+
+    /// One slice into one band. Implementations are `#[inline(always)]`.
+    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
+        voxels: &Voxels<'_, Self, V, H, FACTORED>,
+        band: &mut Band<'_>,
+        k: usize,
+        scratch: &mut Self::Scratch,
+    );
+}
+
+impl<L: VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Composite for Voxels<'_, L, V, H, FACTORED> {
+    type Scratch = L::Scratch;
 
     fn scratch(&self, _: usize) -> Self::Scratch {
-        (RowBuffers::new(self.factorization.dims[0]), Spans::new(self.factorization.dims[0]))
+        L::scratch(self.factorization)
     }
 
     #[inline(always)]
-    fn band(&self, band: &mut Band<'_>, (rows, spans): &mut Self::Scratch) -> Result<(), RenderError> {
-        let slices = self.factorization.dims[2];
-        for step in 0..slices {
+    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
+        L::enter_band(self.factorization, band, scratch);
+        let slices = self.factorization.slices.clone();
+        for step in 0..slices.len() {
             if step % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
-            let k = if self.factorization.reversed { slices - 1 - step } else { step };
-            self.slice(band, k, rows, spans);
+            let k = if self.factorization.reversed { slices.end - 1 - step } else { slices.start + step };
+            L::slice(self, band, k, scratch);
         }
         Ok(())
     }
 }
 
-impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Voxels<'_, V, LIT, FACTORED> {
+impl VoxelLattice for Unit {
+    type Scratch = (RowBuffers, Spans);
+
+    fn scratch(factorization: &Factorization) -> Self::Scratch {
+        (RowBuffers::new(factorization.dims[0]), Spans::new(factorization.dims[0]))
+    }
+
+    #[inline(always)]
+    fn enter_band(_: &Factorization, _: &Band<'_>, _: &mut Self::Scratch) {}
+
+    #[inline(always)]
+    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
+        voxels: &Voxels<'_, Self, V, H, FACTORED>,
+        band: &mut Band<'_>,
+        k: usize,
+        (rows, spans): &mut Self::Scratch,
+    ) {
+        voxels.slice(band, k, rows, spans);
+    }
+}
+
+impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACTORED> {
     /// One slice into one band.
     #[inline(always)]
     fn slice(&self, band: &mut Band<'_>, k: usize, rows: &mut RowBuffers, spans: &mut Spans) {
         let placement = self.factorization.slice(k);
         let [fraction_u, fraction_v] = placement.fraction;
-        let material = self.material.slice(self.factorization.is_outermost(k));
+        let material = self.material.slice(self.factorization.share(k));
         // Pixels between the slice's first and last voxel scanline: nothing lies outside the box.
         let last = self.factorization.dims[1] - 1 - usize::from(fraction_v > 0.0);
         let first_row = placement.first[1].saturating_sub(band.first);
         let end_row = (placement.first[1] + last + 1).saturating_sub(band.first).min(band.height());
         let weights = Weights::new(fraction_u, fraction_v);
-        let cue_along_k = self.cue.map_or(1.0, |cue| cue.slice(k as f64));
+        let cue = self.cue.map(|cue| cue.slice(k as f64));
         rows.next_slice();
         for row in first_row..end_row {
             let v = band.first + row;
@@ -89,8 +133,8 @@ impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Voxels<'_, V, LIT, F
             if spans.is_empty() {
                 continue;
             }
-            rows.shade(self.source, &upper, lower.as_ref(), spans, material);
-            let cue = self.cue.map(|cue| Cue { along_u: &cue.along_u, scanline: cue_along_k * cue.along_v[v] });
+            rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
+            let cue = cue.map(|cue| cue.scanline(v));
             self.blend(&mut scanline, placement.first[0], rows, spans, &weights, cue);
         }
     }
@@ -106,7 +150,7 @@ impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Voxels<'_, V, LIT, F
         [v, k]: [usize; 2],
     ) {
         spans.find(rows, scanline, placement.first[0], placement.fraction[0] > 0.0);
-        if !self.factorization.clip.is_empty() {
+        if self.factorization.is_clipped() {
             spans.clip(self.factorization.visible_pixels(v, k as f64), placement.first[0]);
         }
     }
@@ -120,7 +164,7 @@ impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Voxels<'_, V, LIT, F
         rows: &RowBuffers,
         spans: &Spans,
         weights: &Weights,
-        cue: Option<Cue<'_>>,
+        cue: Option<ScanlineCue<'_>>,
     ) {
         for (word, &bits) in spans.pixels().iter().enumerate() {
             let mut bits = bits;
@@ -131,12 +175,11 @@ impl<V: VoxelSource, const LIT: bool, const FACTORED: bool> Voxels<'_, V, LIT, F
                 let u = i + first_u;
                 let (upper, lower) = rows.voxels(i, length + 1);
                 let pixels = &mut scanline.pixels[u..u + length];
-                let along_u = cue.map(|cue| (&cue.along_u[u..u + length], cue.scanline));
-                let opaque = match (rows.has_lower(), along_u) {
-                    (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (&[], 1.0), self.opaque),
-                    (false, None) => blend_run::<false, false>(pixels, upper, lower, weights, (&[], 1.0), self.opaque),
-                    (true, Some(cue)) => blend_run::<true, true>(pixels, upper, lower, weights, cue, self.opaque),
-                    (false, Some(cue)) => blend_run::<false, true>(pixels, upper, lower, weights, cue, self.opaque),
+                let opaque = match (rows.has_lower(), cue) {
+                    (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (false, None) => blend_run::<false, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (true, Some(_)) => blend_run::<true, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (false, Some(_)) => blend_run::<false, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
                 };
                 if opaque != 0 {
                     clear_bits(scanline.non_opaque, u, opaque);
@@ -168,13 +211,6 @@ impl Weights {
     }
 }
 
-/// What the colours of a scanline fade by: the product of its own factor and one along u.
-#[derive(Clone, Copy, Debug)]
-struct Cue<'a> {
-    along_u: &'a [f32],
-    scanline: f32,
-}
-
 /// Blends consecutive pixels; gives the mask of those that became opaque.
 #[inline(always)]
 fn blend_run<const LOWER: bool, const CUED: bool>(
@@ -182,15 +218,15 @@ fn blend_run<const LOWER: bool, const CUED: bool>(
     upper: &[Vec4],
     lower: &[Vec4],
     weights: &Weights,
-    (along_u, factor): (&[f32], f32),
+    (cue, u): (Option<ScanlineCue<'_>>, usize),
     opaque: f32,
 ) -> u64 {
     let mut done = 0;
     let voxels = upper.windows(2).zip(lower.windows(2));
     for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
         let mut sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
-        if CUED {
-            sample = (sample * (factor * along_u[at])).with_w(sample.w);
+        if CUED && let Some(cue) = cue {
+            sample = (sample * cue.at(u + at)).with_w(sample.w);
         }
         *pixel = over(*pixel, sample);
         done |= u64::from(pixel.w >= opaque) << at;

@@ -4,12 +4,13 @@ use std::time::Instant;
 
 use super::{Begun, Pass};
 use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
+use crate::render::composite::lattice::{self, Unit};
+use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::Occupied;
-use crate::render::composite::samples::VoxelRows;
+use crate::render::composite::samples::{VoxelLight, VoxelRows};
 use crate::render::composite::slabs::SlabComposite;
 use crate::render::intermediate::IntermediateImage;
-use crate::render::shade::ShadingTable;
-use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, Scaled};
+use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
 use crate::render::{Lookup, OpacityCorrection, RenderError};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
@@ -47,39 +48,48 @@ impl Pass<'_> {
         length: f64,
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
-        if scaled {
-            self.with_correction(table, Scaled { length: length as f32 }, image)
-        } else if length == 1.0 {
-            self.with_correction(table, AsItIs, image)
-        } else {
-            self.with_correction(table, LookedUp(&OpacityCorrectionTable::new(length)), image)
+        let off = self.settings.preintegration.opacity_correction == OpacityCorrection::Off;
+        match (scaled, self.factorization.is_parallel()) {
+            (true, true) => self.with_correction(Unit, table, Scaled { length: length as f32 }, image),
+            (true, false) => self.with_correction(lattice::Scaled, table, Scaled { length: length as f32 }, image),
+            (false, false) if off => self.with_correction(lattice::Scaled, table, AsItIs, image),
+            (false, false) => self.with_correction(lattice::Scaled, table, RayByRay { length: length as f32 }, image),
+            (false, true) if length == 1.0 => self.with_correction(Unit, table, AsItIs, image),
+            (false, true) => self.with_correction(Unit, table, LookedUp(&OpacityCorrectionTable::new(length)), image),
         }
     }
 
-    fn with_correction<S: Slabs, C: Correction>(
+    fn with_correction<L: NaiveLattice, S: Slabs, C: Correction>(
         &self,
+        lattice: L,
         table: S,
         correction: C,
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
         match self.scene.prepared.scanlines(self.factorization.principal_axis) {
-            AnyScanlines::U8(scanlines) => self.with_scanlines(table, correction, scanlines, image),
-            AnyScanlines::U16(scanlines) => self.with_scanlines(table, correction, scanlines, image),
+            AnyScanlines::U8(scanlines) => self.with_scanlines(lattice, table, correction, scanlines, image),
+            AnyScanlines::U16(scanlines) => self.with_scanlines(lattice, table, correction, scanlines, image),
         }
     }
 
-    fn with_scanlines<S: Slabs, C: Correction, T: Code>(
+    fn with_scanlines<L: NaiveLattice, S: Slabs, C: Correction, T: Code>(
         &self,
+        lattice: L,
         table: S,
         correction: C,
         scanlines: Scanlines<'_, T>,
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
         let Self { scene, factorization, settings, .. } = *self;
-        let shades = self.shading.map_or(&[][..], ShadingTable::entries);
+        let light = match (self.table, self.ray_light) {
+            (Some(table), _) => VoxelLight::ByNormal(table.entries()),
+            (None, Some(light)) => VoxelLight::ByRay(light),
+            (None, None) => VoxelLight::Off,
+        };
         let composite = SlabComposite {
+            lattice,
             factorization,
-            voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, shades, scene.transfer),
+            voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, light, scene.transfer),
             occupied: Occupied::new(self.classification, scene.encodings, factorization),
             table,
             correction,

@@ -3,12 +3,14 @@
 use super::{Begun, Pass};
 use crate::classify::Encodings;
 use crate::render::RenderError;
+use crate::render::composite::lattice::{Scaled, Unit};
+use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::LeafRows;
-use crate::render::composite::samples::VoxelRows;
+use crate::render::composite::samples::{VoxelLight, VoxelRows};
 use crate::render::composite::sources::{Unencoded, VoxelSource};
-use crate::render::composite::voxels::Voxels;
+use crate::render::composite::voxels::{VoxelLattice, Voxels};
 use crate::render::intermediate::IntermediateImage;
-use crate::render::material::{Material, SliceTables};
+use crate::render::material::{ByNormal, ByRay, Light, Material, SliceTables, Unlit};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
@@ -33,7 +35,7 @@ impl Pass<'_> {
         let Self { scene, classification, factorization, .. } = *self;
         let leaves = LeafRows::new(classification.occupied(), factorization);
         let source = Unencoded {
-            voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, &[], scene.transfer),
+            voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, VoxelLight::Off, scene.transfer),
             leaves: &leaves,
             tables: classification.tables(),
         };
@@ -41,25 +43,41 @@ impl Pass<'_> {
     }
 
     fn with_source<V: VoxelSource>(&self, source: V, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
-        let factored = !self.scene.transfer.gradient_opacity.is_empty();
-        let tables = SliceTables::new(self.classification.tables(), self.factorization, factored);
-        match (self.shading.is_some(), factored) {
-            (true, true) => self.run(&self.composite::<_, true, true>(source, &tables), image),
-            (true, false) => self.run(&self.composite::<_, true, false>(source, &tables), image),
-            (false, true) => self.run(&self.composite::<_, false, true>(source, &tables), image),
-            (false, false) => self.run(&self.composite::<_, false, false>(source, &tables), image),
+        match (self.table, self.ray_light, self.factorization.is_parallel()) {
+            (Some(table), ..) => self.with_light(Unit, source, ByNormal(table), image),
+            (None, Some(light), _) => self.with_light(Scaled, source, ByRay(light), image),
+            (None, None, true) => self.with_light(Unit, source, Unlit, image),
+            (None, None, false) => self.with_light(Scaled, source, Unlit, image),
         }
     }
 
-    fn composite<'b, V: VoxelSource, const LIT: bool, const FACTORED: bool>(
-        &'b self,
+    fn with_light<L: VoxelLattice + NaiveLattice, V: VoxelSource, H: Light>(
+        &self,
+        lattice: L,
         source: V,
-        tables: &'b SliceTables,
-    ) -> Voxels<'b, V, LIT, FACTORED> {
+        light: H,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        let factored = !self.scene.transfer.gradient_opacity.is_empty();
+        let tables = SliceTables::new(self.classification.tables(), self.factorization, factored);
+        if factored {
+            self.run(&self.composite(lattice, source, Material::<_, true>::new(&tables, light)), image)
+        } else {
+            self.run(&self.composite(lattice, source, Material::<_, false>::new(&tables, light)), image)
+        }
+    }
+
+    fn composite<'b, L, V, H, const FACTORED: bool>(
+        &'b self,
+        lattice: L,
+        source: V,
+        material: Material<'b, H, FACTORED>,
+    ) -> Voxels<'b, L, V, H, FACTORED> {
         Voxels {
+            lattice,
             source,
             factorization: self.factorization,
-            material: Material::new(tables, self.shading),
+            material,
             cue: self.cue,
             opaque: self.settings.early_ray_termination,
             cancel: self.cancel,

@@ -334,6 +334,9 @@ impl Refusals {
         self.range("/preintegration/entries", fields.entries.map(f64::from), ENTRIES);
         let samples = fields.samples_per_voxel.map(f64::from);
         self.range("/preintegration/samples_per_voxel", samples, SAMPLES_PER_VOXEL);
+        if matches!(fields.table, Some(super::fields::SlabTableName::OneDimensional)) {
+            self.refuse("/preintegration/table", "1d is not supported by this version");
+        }
         Preintegration {
             table: fields.table.map_or(default.table, SlabTable::from),
             entries: fields.entries.map_or(default.entries, |n| n as usize),

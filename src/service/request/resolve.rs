@@ -337,7 +337,6 @@ mod tests {
             r#"{"blend": "maximum", "window": {"center": 0, "width": 1}}"#,
             r#"{"depth_cueing": {}}"#,
             r#"{"depth_cueing": {"density": 2}}"#,
-            r#"{"preintegration": {"table": "1d"}}"#,
             r#"{"preintegration": {"entries": 100}}"#,
             r#"{"preintegration": {"lookup": "nearest"}}"#,
             r#"{"preintegration": {"opacity_correction": "off"}}"#,

@@ -1,0 +1,247 @@
+//! The kernel of single voxels over scaled slices.
+//!
+//! The same three steps as where pixels lie as far apart as voxels, but for two things. The voxel
+//! scanlines under a scanline of pixels are several, kept in a ring; where any of them has runs, the
+//! pixels that these are under follow from the footprint. And the opacity of a resampled pixel is
+//! corrected for the length of its own ray: voxels are looked up as the shortest ray would see them.
+//! (Correcting voxel by voxel would take a power or a table for each; resampled premultiplied colours differ
+//! from those of corrected voxels by less than a step of 8 bits.)
+
+use std::ops::Range;
+
+use glam::Vec4;
+
+use super::cue::ScanlineCue;
+use super::footprint::Footprint;
+use super::lattice::{Lattice, Scaled};
+use super::mask::{Mask, Runs};
+use super::rows::Row;
+use super::scaled::{Columns, add};
+use super::sources::VoxelSource;
+use super::voxels::{VoxelLattice, Voxels};
+use super::{WORD, clear_bits, first_run, over, run_mask};
+use crate::render::factorization::Factorization;
+use crate::render::intermediate::{Band, ScanlineMut};
+use crate::render::material::{Light, SliceMaterial};
+use crate::render::slab::opacity_ratio;
+
+/// Row buffers and masks of a thread.
+#[derive(Debug)]
+pub struct Scratch {
+    length: usize,
+    /// Voxel scanlines, j always in the same place.
+    rows: Vec<Row>,
+    columns: Columns,
+    /// Weights of the scanlines under one of pixels.
+    weights: Vec<f32>,
+    sum: Vec<Vec4>,
+    pixels: Mask,
+    touched: Mask,
+    /// Lengths of the band's rays in units of the shortest.
+    lengths: Vec<f32>,
+}
+
+/// A scanline of pixels on a slice.
+struct Place<'a> {
+    factorization: &'a Factorization,
+    along_u: Footprint,
+    /// Pixels that lie on the slice.
+    us: Range<usize>,
+    /// The first voxel scanline under it.
+    first: usize,
+    v: usize,
+    k: usize,
+}
+
+impl VoxelLattice for Scaled {
+    type Scratch = Scratch;
+
+    fn scratch(factorization: &Factorization) -> Scratch {
+        let length = factorization.dims[0];
+        Scratch {
+            length,
+            rows: vec![],
+            columns: Columns::default(),
+            weights: vec![],
+            sum: vec![Vec4::ZERO; length],
+            pixels: Mask::new(factorization.size[0]),
+            touched: Mask::new(length),
+            lengths: vec![],
+        }
+    }
+
+    #[inline(always)]
+    fn enter_band(factorization: &Factorization, band: &Band<'_>, scratch: &mut Scratch) {
+        factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
+    }
+
+    #[inline(always)]
+    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
+        voxels: &Voxels<'_, Self, V, H, FACTORED>,
+        band: &mut Band<'_>,
+        k: usize,
+        scratch: &mut Scratch,
+    ) {
+        let f = voxels.factorization;
+        let placement @ [along_u, along_v] = Self::placement(f, k as f64);
+        let [us, vs] = Self::inside(f, &placement);
+        if us.is_empty() {
+            return;
+        }
+        let material = voxels.material.slice(f.share(k));
+        let cue = voxels.cue.map(|cue| cue.slice(k as f64));
+        scratch.enter_slice(along_v.taps());
+        let band_end = band.first + band.height();
+        for v in vs.start.max(band.first)..vs.end.min(band_end) {
+            let (first, taps) = (along_v.first(v), along_v.taps());
+            scratch.weights.clear();
+            scratch.weights.extend((first..first + taps).map(|j| along_v.weight(v, j)));
+            if !scratch.enter_rows(voxels.source, first, k) {
+                continue;
+            }
+            let row = v - band.first;
+            let mut scanline = band.scanline(row);
+            let at = Place { factorization: f, along_u, us: us.clone(), first, v, k };
+            if !scratch.find(&at, &scanline) {
+                continue;
+            }
+            if V::CLASSIFIES {
+                scratch.classify(voxels.source, first, k);
+                if !scratch.find(&at, &scanline) {
+                    continue;
+                }
+            }
+            scratch.shade(voxels.source, first, k, material);
+            scratch.blend(&mut scanline, row * f.size[0], first, cue.map(|cue| cue.scanline(v)), voxels.opaque);
+        }
+    }
+}
+
+impl Scratch {
+    /// Forgets the scanlines of another slice; there will be `taps` of them to one of pixels.
+    #[inline(always)]
+    fn enter_slice(&mut self, taps: usize) {
+        while self.rows.len() < taps {
+            self.rows.push(Row::new(self.length));
+        }
+        self.rows.iter_mut().for_each(|row| row.j = None);
+    }
+
+    /// Enters the scanlines from `first` on of slice `k`; false where none has anything.
+    #[inline(always)]
+    fn enter_rows<V: VoxelSource>(&mut self, source: V, first: usize, k: usize) -> bool {
+        let count = self.rows.len();
+        let mut any = false;
+        for j in first..first + self.weights.len() {
+            let scanline = source.scanline(j, k);
+            any |= !source.is_empty(&scanline);
+            if self.rows[j % count].j != Some(j) {
+                self.rows[j % count].enter(source, j, &scanline);
+            }
+        }
+        any
+    }
+
+    /// Finds the pixels over marked voxels that are not opaque and not clipped away, and the voxels under them;
+    /// false where there is none.
+    #[inline(always)]
+    fn find(&mut self, at: &Place<'_>, scanline: &ScanlineMut<'_>) -> bool {
+        self.pixels.clear();
+        let count = self.rows.len();
+        for word in 0..self.length.div_ceil(WORD) {
+            let mut marked = 0;
+            for (j, &weight) in (at.first..).zip(&self.weights) {
+                marked |= if weight > 0.0 { self.rows[j % count].marked[word] } else { 0 };
+            }
+            while marked != 0 {
+                let (start, length) = first_run(marked);
+                marked &= !run_mask(start, length);
+                // From the outer edge of the run's first voxel to that of its last; at the slice's border, from afar.
+                let (from, to) = (word * WORD + start, word * WORD + start + length);
+                let low = if from == 0 { f64::NEG_INFINITY } else { from as f64 - 0.5 };
+                let high = if to >= self.length { f64::INFINITY } else { to as f64 - 0.5 };
+                self.pixels.add(at.along_u.touching(low, high));
+            }
+        }
+        let mut any = self.pixels.keep(scanline.non_opaque, &at.us);
+        if any && at.factorization.is_clipped() {
+            any = self.pixels.keep(scanline.non_opaque, &at.factorization.visible_pixels(at.v, at.k as f64));
+        }
+        if any {
+            self.columns.fill(&at.along_u, &at.us);
+            self.touch();
+        }
+        any
+    }
+
+    /// Takes back the marks of touched voxels that are not drawn.
+    #[inline(always)]
+    fn classify<V: VoxelSource>(&mut self, source: V, first: usize, k: usize) {
+        let count = self.rows.len();
+        for j in first..first + self.weights.len() {
+            self.rows[j % count].classify(source, &source.scanline(j, k), self.touched.words());
+        }
+    }
+
+    /// Shades the touched voxels.
+    #[inline(always)]
+    fn shade<V: VoxelSource, H: Light, const FACTORED: bool>(
+        &mut self,
+        source: V,
+        first: usize,
+        k: usize,
+        material: SliceMaterial<'_, H, FACTORED>,
+    ) {
+        let count = self.rows.len();
+        for (j, _) in (first..).zip(&self.weights).filter(|(_, weight)| **weight > 0.0) {
+            self.rows[j % count].shade(source, &source.scanline(j, k), self.touched.words(), k, material);
+        }
+    }
+
+    /// The voxels under the pixels.
+    #[inline(always)]
+    fn touch(&mut self) {
+        self.touched.clear();
+        for (u, length) in Runs::new(&self.pixels) {
+            self.touched.add(self.columns.under(&(u..u + length)));
+        }
+    }
+
+    /// Resamples the scanlines from `first` on at the pixels and blends behind what is there.
+    #[inline(always)]
+    fn blend(
+        &mut self,
+        scanline: &mut ScanlineMut<'_>,
+        lengths: usize,
+        first: usize,
+        cue: Option<ScanlineCue<'_>>,
+        opaque: f32,
+    ) {
+        let count = self.rows.len();
+        for (u, length) in Runs::new(&self.pixels) {
+            let hull = self.columns.under(&(u..u + length));
+            let sum = &mut self.sum[..hull.len()];
+            let mut empty = true;
+            for (j, &weight) in (first..).zip(&self.weights).filter(|(_, weight)| **weight > 0.0) {
+                add(sum, &self.rows[j % count].voxels[hull.clone()], weight, empty);
+                empty = false;
+            }
+            let mut samples = [Vec4::ZERO; WORD];
+            self.columns.gather(u, sum, hull.start, &mut samples[..length]);
+            let mut done = 0;
+            let lengths = &self.lengths[lengths + u..][..length];
+            let pixels = scanline.pixels[u..][..length].iter_mut().zip(&samples).zip(lengths);
+            for (at, ((pixel, sample), length)) in pixels.enumerate() {
+                let mut sample = *sample * opacity_ratio(sample.w, *length);
+                if let Some(cue) = cue {
+                    sample = (sample * cue.at(u + at)).with_w(sample.w);
+                }
+                *pixel = over(*pixel, sample);
+                done |= u64::from(pixel.w >= opaque) << at;
+            }
+            if done != 0 {
+                clear_bits(scanline.non_opaque, u, done);
+            }
+        }
+    }
+}
