@@ -51,9 +51,9 @@ impl<'a, T: Code> Medium<'a, T> {
     }
 
     /// The integral along one ray.
-    pub(super) fn pixel(&self, ray: &Ray, stretch: &Stretch) -> Vec4 {
+    pub(super) fn pixel(&self, ray: &Ray, stretch: &Stretch<'_>) -> Vec4 {
         let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
-        for n in 0..stretch.steps {
+        for n in stretch.walk() {
             let middle = n as f64 + 0.5;
             let Some((mut sample, tau)) = self.sample(stretch.at(middle), ray) else { continue };
             if let Some((DepthCueing { front, density }, depth)) = &self.depth_cueing {

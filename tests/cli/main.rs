@@ -189,6 +189,44 @@ fn bench_leaves_out_steps_that_did_not_run() {
 }
 
 #[test]
+fn bench_times_the_pre_integration_tables_that_frames_make() {
+    let folder = folder();
+    let out = path(&folder, "bench.json");
+    let few = ["--frames", "2", "--width", "16", "--height", "16", "--json", &out];
+    run(&folder, "bench", &few);
+    let report: Value = serde_json::from_slice(&fs::read(&out).unwrap()).unwrap();
+    assert_eq!(report["algorithm"], "preintegrated");
+    assert!(report["prepare_ms"]["preintegration_table"].as_f64().unwrap() > 0.0, "{report}");
+    assert!(report["bytes"]["run_lengths"].as_u64().unwrap() > 0, "{report}");
+}
+
+#[test]
+fn info_shows_what_a_request_would_take() {
+    let folder = folder();
+    let bytes = |arguments: &[&str]| {
+        let info: Value =
+            serde_json::from_slice(&run(&folder, "info", &[&["--json"], arguments].concat()).stdout).unwrap();
+        info["bytes"]["run_lengths"].as_u64().unwrap()
+    };
+    assert!(bytes(&["--algorithm", "classified"]) > bytes(&[]), "voxels take more than bits");
+}
+
+#[test]
+fn every_option_of_the_api_has_a_flag() {
+    let folder = folder();
+    let out = path(&folder, "out.png");
+    let small = ["-o", &out, "--width", "8", "--height", "8"];
+    run(
+        &folder,
+        "render",
+        &[&small[..], &["--blend", "average", "--window-center", "-20", "--window-width", "9"]].concat(),
+    );
+    run(&folder, "render", &[&small[..], &["--quality", "draft", "--algorithm", "classified"]].concat());
+    let wrong = failure(2, &["render", &path(&folder, "ball.raw"), "--raw", RAW, "-o", &out, "--window-width", "9"]);
+    assert!(wrong.contains("/window"), "{wrong}");
+}
+
+#[test]
 fn wrong_usage_ends_with_2_and_one_line() {
     let folder = folder();
     let volume = path(&folder, "ball.raw");

@@ -18,8 +18,8 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use glam::Vec4;
 
@@ -30,15 +30,22 @@ use medium::Medium;
 use ranges::Ranges;
 pub use table::SlabTable;
 
-/// What all slab tables of a volume under a transfer function share, and the tables made so far.
+/// What all slab tables of a volume under a transfer function share, and the newest of those tables.
 #[derive(Debug)]
 pub struct SlabTables {
     axis: Arc<SlabAxis>,
     /// Codes at which a slab may show something, one flag for each.
     visible: Vec<bool>,
     ranges: Ranges,
-    made: Mutex<HashMap<(Form, u32), Arc<SlabTable>>>,
+    kept: Mutex<Kept>,
 }
+
+/// Tables by form and the bits of their length, the oldest first.
+type Kept = VecDeque<((Form, u32), Arc<SlabTable>)>;
+
+/// Tables kept for another frame of the same view, or of one whose slabs are as long. A client that
+/// turns a volume asks for another length with every frame, and comes back to few.
+const KEPT: usize = 4;
 
 /// What a table's entries hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -88,7 +95,7 @@ impl SlabTables {
                 ranges.shows(first, end)
             })
             .collect();
-        Self { axis: Arc::new(axis), visible, ranges, made: Mutex::default() }
+        Self { axis: Arc::new(axis), visible, ranges, kept: Mutex::default() }
     }
 
     /// A flag for each code, 0 up to the volume's largest: true where a slab that reaches the code may
@@ -100,20 +107,28 @@ impl SlabTables {
 
     /// The table for slabs of `length` mm, made if it is not there yet.
     pub fn table(&self, form: Form, length: f32) -> Arc<SlabTable> {
-        let key = (form, length.to_bits());
-        if let Some(made) = self.made.lock().expect("no panic while it is held").get(&key) {
-            return Arc::clone(made);
+        let wanted = (form, length.to_bits());
+        if let Some((_, table)) = self.kept().iter().find(|(kept, _)| *kept == wanted) {
+            return Arc::clone(table);
         }
         let table = Arc::new(SlabTable::new(&self.ranges, Arc::clone(&self.axis), form, length));
-        self.made.lock().expect("no panic while it is held").insert(key, Arc::clone(&table));
+        let mut kept = self.kept();
+        kept.push_back((wanted, Arc::clone(&table)));
+        if kept.len() > KEPT {
+            kept.pop_front();
+        }
         table
     }
 
-    /// Bytes in memory.
+    /// Bytes in memory, once as many tables were made as are kept.
     pub fn bytes(&self) -> u64 {
-        let made = self.made.lock().expect("no panic while it is held");
-        let tables: u64 = made.values().map(|table| table.bytes()).sum();
+        let tables = KEPT as u64 * SlabTable::bytes(self.axis.entries());
         tables + self.visible.len() as u64 + self.ranges.bytes() + self.axis.bytes()
+    }
+
+    /// Held for look-ups alone, never while a table is made.
+    fn kept(&self) -> MutexGuard<'_, Kept> {
+        self.kept.lock().expect("no panic while it is held")
     }
 }
 

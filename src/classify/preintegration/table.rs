@@ -68,9 +68,9 @@ impl SlabTable {
         &self.axis
     }
 
-    /// Bytes in memory.
-    pub fn bytes(&self) -> u64 {
-        size_of_val(&self.slabs[..]) as u64
+    /// Bytes in memory of a table of so many entries along an axis.
+    pub(super) fn bytes(entries: usize) -> u64 {
+        ((entries + 1) * (entries + 1) * size_of::<Vec4>()) as u64
     }
 
     /// The entry nearest to two positions on the axis.

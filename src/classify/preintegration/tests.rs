@@ -91,3 +91,17 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn the_newest_tables_are_kept_and_no_more_than_are_counted() {
+    let transfer = transfer(&[(0.0, 0.0, [1.0; 3]), (60.0, 0.5, [0.5; 3])]);
+    let tables = SlabTables::new(&volume(0, 60), &transfer, 61);
+    let made: Vec<_> = (1..10).map(|length| tables.table(Form::Opacity, length as f32)).collect();
+    for (length, table) in (1..10).zip(&made).rev().take(KEPT) {
+        assert!(Arc::ptr_eq(table, &tables.table(Form::Opacity, length as f32)), "{length}");
+    }
+    assert_eq!(tables.kept().len(), KEPT);
+    assert!(tables.bytes() >= KEPT as u64 * SlabTable::bytes(61));
+    assert!(!Arc::ptr_eq(&made[0], &tables.table(Form::Opacity, 1.0)), "made anew");
+    assert_eq!(*made[0], *tables.table(Form::Opacity, 1.0), "and the same");
+}

@@ -124,9 +124,12 @@ impl<T: Code> EncodePlane<'_, T> {
         let Encoder { scanlines, gradients, tables, .. } = self.encoder;
         let [nx, ny, _] = scanlines.dims();
         let mut factors = vec![0; nx * ny];
-        for (y, (marked, factors)) in marked.chunks_exact_mut(words(nx)).zip(factors.chunks_exact_mut(nx)).enumerate() {
+        let visible = marked.to_vec();
+        let visible = visible.chunks_exact(words(nx));
+        let rows = visible.zip(marked.chunks_exact_mut(words(nx))).zip(factors.chunks_exact_mut(nx));
+        for (y, ((visible, marked), factors)) in rows.enumerate() {
             let row = scanlines.row(y, self.z);
-            for block in Blocks::new(&marked.to_vec()) {
+            for block in Blocks::new(visible) {
                 let magnitudes = magnitudes(&gradients.block(y, self.z, block.first));
                 for n in block.voxels() {
                     let at = block.first + n;
