@@ -39,7 +39,7 @@ pub struct Voxel {
 /// One encoded scanline.
 #[derive(Clone, Copy, Debug)]
 pub struct Scanline<'a> {
-    /// A bit for every voxel: set for those that are not transparent.
+    /// A bit for every voxel: set for those that are not transparent. No words where none is set.
     pub marked: &'a [u64],
     /// Those voxels, one after the other.
     pub voxels: &'a [Voxel],
@@ -125,23 +125,20 @@ pub struct AxisEncoding<'a> {
 }
 
 impl<'a> AxisEncoding<'a> {
-    /// Scanline `j` of slice `k`.
+    /// Scanline `j` of slice `k`; all of it is empty where it has no voxels.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {
+        if self.is_empty(j, k) {
+            return Scanline { marked: &[], voxels: &[], factors: &[] };
+        }
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
         self.planes[plane].scanline(row)
-    }
-
-    /// The scanlines j of slice `k` that have voxels, a bit each.
-    #[inline(always)]
-    pub fn filled(&self, k: usize) -> &'a [u64] {
-        &self.filled[k * self.words..][..self.words]
     }
 
     /// True where scanline `j` of slice `k` has no voxels.
     #[inline(always)]
     pub fn is_empty(&self, j: usize, k: usize) -> bool {
-        self.filled(k)[j / WORD] >> (j % WORD) & 1 == 0
+        self.filled[k * self.words + j / WORD] >> (j % WORD) & 1 == 0
     }
 }
 

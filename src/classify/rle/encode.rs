@@ -317,7 +317,7 @@ mod tests {
             let of_axis = encoding.for_axis(axis);
             for (j, k) in (0..dims[2]).flat_map(|k| (0..dims[1]).map(move |j| (j, k))) {
                 let scanline = of_axis.scanline(j, k);
-                let found: Vec<_> = (0..scanline.marked.len() * WORD)
+                let found: Vec<_> = (0..words(dims[0]) * WORD)
                     .map(|i| {
                         scanline.place_of(i).map(|at| (scanline.voxels[at], *scanline.factors.get(at).unwrap_or(&255)))
                     })
