@@ -28,6 +28,10 @@ const FRACTION_BITS: u32 = 32;
 /// Added to a position below 2^18, leaves `FRACTION_BITS` of its fraction at the mantissa's end.
 const TO_FIXED: f64 = 1.5 * (1u64 << (f64::MANTISSA_DIGITS - 1 - FRACTION_BITS)) as f64;
 
+/// So far inside the slices' borders a row's pixels begin and end, pixels: what rounding leaves a hair outside
+/// would be read below pixel 0.
+const ROUNDING: f64 = 1e-6;
+
 /// Rows that one job fills.
 const BAND_HEIGHT: usize = 16;
 
@@ -201,13 +205,12 @@ fn inside([lowest, highest]: [DVec2; 2], start: DVec3, step: DVec3, length: usiz
                 return 0..0;
             }
         } else if rate > 0.0 {
-            low = f64::max(low, -distance / rate);
+            low = f64::max(low, -distance / rate + ROUNDING);
         } else {
-            high = f64::min(high, -distance / rate);
+            high = f64::min(high, -distance / rate - ROUNDING);
         }
     }
-    // What rounding leaves a hair outside would be read below pixel 0.
-    let (low, high) = ((low + 1e-6).ceil(), (high - 1e-6).floor());
+    let (low, high) = (low.ceil(), high.floor());
     if low > high { 0..0 } else { low as usize..high as usize + 1 }
 }
 

@@ -286,16 +286,58 @@ fn wide_views_from_within_are_the_ray_casters_and_have_no_seams() {
             assert!(at_joints.1 > 20, "no joint in the picture");
             let (at_joints, elsewhere) = (at_joints.0 / f64::from(at_joints.1), elsewhere.0 / f64::from(elsewhere.1));
             let what = format!("{algorithm:?} {} {fov_y}", shading.is_some());
-            assert!(mean < 4.0, "{what}: {mean} from the ray caster");
-            assert!(at_joints < elsewhere + 1.0, "{what}: {at_joints} across joints, {elsewhere} elsewhere");
+            let exact = algorithm == Algorithm::Preintegrated && shading.is_none();
+            let (near, flush) = if exact { (4.0, 2.5) } else { (12.0, 5.0) };
+            assert!(mean < near, "{what}: {mean} from the ray caster");
+            assert!(at_joints < elsewhere + flush, "{what}: {at_joints} across joints, {elsewhere} elsewhere");
         }
     }
 }
 
-/// A field of view of almost nothing, from almost infinitely far away.
+/// In `high` the largest step of a frame's error across a joint is 2, and what the rounding of four values to
+/// 8 bits adds.
+#[test]
+fn high_has_no_step_across_joints() {
+    let scene = Prepared::new(lumps([60, 50, 55], [1.0, 1.1, 0.9]), solid(), 0.0);
+    let volume = scene.prepared.volume();
+    for (from, along, fov_y) in [
+        ([-0.15, -0.2, -0.2], [1.0, 1.1, 0.9], 150.0),
+        ([0.0, 0.05, 0.1], [-1.0, 0.4, 0.1], 110.0),
+        ([-1.1, -1.0, 0.3], [1.0, 1.0, -0.2], 80.0),
+    ] {
+        let view = scene.view(&within(&scene, from, along, fov_y), 128, 96);
+        let high = Settings::new(Algorithm::Preintegrated, Quality::High);
+        let settings = over_black(Settings { shading: None, ..high });
+        let [frame, truth] = frame_and_truth(&scene, &view, &settings);
+        let error = |x: u32, y: u32, channel: u32| {
+            let at = ((y * 128 + x) * 3 + channel) as usize;
+            i32::from(frame.pixels[at]) - i32::from(truth.pixels[at])
+        };
+        let right = (0..127).flat_map(|x| (0..96).map(move |y| ((x, y), (x + 1, y))));
+        let down = (0..128).flat_map(|x| (0..95).map(move |y| ((x, y), (x, y + 1))));
+        let joints = right.chain(down).filter(|&(a, b)| part(&view, volume, a.0, a.1) != part(&view, volume, b.0, b.1));
+        let steps: Vec<i32> = joints
+            .flat_map(|(a, b)| (0..3).map(move |c| (a, b, c)))
+            .map(|(a, b, c)| (error(a.0, a.1, c) - error(b.0, b.1, c)).abs())
+            .collect();
+        assert!(steps.len() > 60, "no joint in the picture");
+        let largest = steps.iter().max().unwrap();
+        assert!(*largest <= 3, "{fov_y}: a step of {largest}");
+    }
+}
+
+/// A field of view of almost nothing, from almost infinitely far away. What is seen stays off the volume's
+/// sides, along which rays of the two differ in length.
 #[test]
 fn a_tiny_field_of_view_is_a_parallel_projection() {
-    let scene = Prepared::new(lumps([60, 50, 55], [1.0, 1.1, 0.9]), solid(), 0.0);
+    let dims = [60, 50, 55];
+    let last = DVec3::from_array(dims.map(|n| (n - 1) as f64));
+    let inner = volume(dims, [1.0, 1.1, 0.9], |at| {
+        let [x, y, z] = (at * DVec3::new(0.19, 0.23, 0.21) + 1.1).to_array();
+        let border = at.min(last - at).min_element();
+        if border < 3.0 { 0.0 } else { (x.sin() * y.sin() * z.sin()).max(0.0) * 255.0 }
+    });
+    let scene = Prepared::new(inner, solid(), 0.0);
     for (azimuth, elevation) in ANGLES {
         let camera = |projection| {
             Camera::Orbit(Orbit { projection, azimuth, elevation, fov_y: 0.01, roll: 3.0, ..Orbit::default() })
