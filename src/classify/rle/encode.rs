@@ -69,7 +69,7 @@ impl<'a, T: Code> Encoder<'a, T> {
         let dims @ [_, _, nz] = self.scanlines.dims();
         let plane = |z| simd::dispatch(EncodePlane { encoder: self, z });
         let (along_x, along_y) = (0..nz).into_par_iter().map(plane).unzip();
-        RunLengthVolume::new(dims, along_x, along_y)
+        RunLengthVolume { dims, along_x, along_y }
     }
 }
 
@@ -90,10 +90,12 @@ impl<T: Code> Kernel for EncodePlane<'_, T> {
         let factors = self.encoder.transfer.map(|transfer| self.apply_gradient_opacity(transfer, &mut marked));
         let mut turned = vec![0; words(ny) * nx];
         turn(&marked, [nx, ny], &mut turned);
-        let (mut along_x, mut along_y) = (Plane::new(nx, marked), Plane::new(ny, turned));
-        self.deal(&mut along_x, &mut along_y);
+        let mut along_x = Plane::of_marks(&marked, words(nx));
+        let mut along_y = Plane::of_marks(&turned, words(ny));
+        self.deal(&marked, &mut along_x, &mut along_y);
         if let Some(factors) = factors {
-            deal_factors(&factors, &mut along_x, &mut along_y);
+            along_x.factors = gathered(&marked, words(nx), |y, x| factors[y * nx + x]);
+            along_y.factors = gathered(&turned, words(ny), |x, y| factors[y * nx + x]);
         }
         (along_x, along_y)
     }
@@ -145,12 +147,14 @@ impl<T: Code> EncodePlane<'_, T> {
 
     /// Deals out the marked voxels.
     #[inline(always)]
-    fn deal(&self, along_x: &mut Plane, along_y: &mut Plane) {
+    fn deal(&self, marked: &[u64], along_x: &mut Plane, along_y: &mut Plane) {
         let Encoder { scanlines, gradients, .. } = self.encoder;
-        along_x.voxels = zeroed_vec(along_x.marks());
-        along_y.voxels = zeroed_vec(along_y.marks());
-        let (mut next, mut places) = (0, along_y.starts.clone());
-        for (y, marked) in along_x.marked.chunks_exact(along_x.words).enumerate() {
+        let [nx, ny, _] = scanlines.dims();
+        let count = along_x.rows[ny][1] as usize;
+        (along_x.voxels, along_y.voxels) = (zeroed_vec(count), zeroed_vec(count));
+        let mut next = 0;
+        let mut places: Vec<u32> = along_y.rows.iter().map(|&[_, voxel]| voxel).collect();
+        for (y, marked) in marked.chunks_exact(words(nx)).enumerate() {
             let row = scanlines.row(y, self.z);
             for block in Blocks::new(marked) {
                 let normals = normals(&gradients.block(y, self.z, block.first));
@@ -167,18 +171,15 @@ impl<T: Code> EncodePlane<'_, T> {
     }
 }
 
-/// Deals out the factors of a plane to where its voxels are.
-fn deal_factors(factors: &[u8], along_x: &mut Plane, along_y: &mut Plane) {
-    let rows = along_y.starts.len() - 1;
-    let gathered = |plane: &Plane, factor: &dyn Fn(usize, usize) -> u8| {
-        let marked = plane.marked.chunks_exact(plane.words).enumerate();
-        let voxels = marked.flat_map(|(row, marked)| {
-            Blocks::new(marked).flat_map(move |block| block.voxels().map(move |n| (row, block.first + n)))
-        });
-        voxels.map(|(row, i)| factor(row, i)).collect()
-    };
-    along_x.factors = gathered(along_x, &|y, x| factors[y * rows + x]);
-    along_y.factors = gathered(along_y, &|x, y| factors[y * rows + x]);
+/// The factors of the marked voxels, by row and position in it; rows have so many words.
+fn gathered(marked: &[u64], words: usize, factor: impl Fn(usize, usize) -> u8) -> Vec<u8> {
+    let mut factors = Vec::with_capacity(marked.iter().map(|word| word.count_ones() as usize).sum());
+    for (row, marked) in marked.chunks_exact(words).enumerate() {
+        for block in Blocks::new(marked) {
+            factors.extend(block.voxels().map(|n| factor(row, block.first + n)));
+        }
+    }
+    factors
 }
 
 /// The blocks of a scanline in which voxels are marked.
@@ -317,11 +318,16 @@ mod tests {
             let of_axis = encoding.for_axis(axis);
             for (j, k) in (0..dims[2]).flat_map(|k| (0..dims[1]).map(move |j| (j, k))) {
                 let scanline = of_axis.scanline(j, k);
-                let found: Vec<_> = (0..words(dims[0]) * WORD)
-                    .map(|i| {
-                        scanline.place_of(i).map(|at| (scanline.voxels[at], *scanline.factors.get(at).unwrap_or(&255)))
-                    })
-                    .collect();
+                let mut found = vec![None; dims[0]];
+                let mut stored = (0..).zip(scanline.voxels);
+                for run in scanline.runs {
+                    let start = usize::from(run.start);
+                    for found in &mut found[start..start + usize::from(run.length)] {
+                        let (at, voxel) = stored.next().expect("a voxel for each of a run");
+                        *found = Some((*voxel, *scanline.factors.get::<usize>(at).unwrap_or(&255)));
+                    }
+                }
+                assert!(stored.next().is_none(), "voxels that are in no run");
                 let expected = |i: usize| {
                     let mut at = [0; 3];
                     for (axis, index) in axes.into_iter().zip([i, j, k]) {
@@ -330,12 +336,9 @@ mod tests {
                     plain(prepared, &tables, transfer, at)
                 };
                 for (i, found) in found.iter().enumerate() {
-                    let expected = (i < dims[0]).then(|| expected(i)).flatten();
-                    assert_eq!(*found, expected, "{i} {j} {k} along {axis} of {dims:?}");
+                    assert_eq!(*found, expected(i), "{i} {j} {k} along {axis} of {dims:?}");
                 }
-                let voxels = found.iter().flatten().count();
-                assert_eq!((scanline.voxels.len(), of_axis.is_empty(j, k)), (voxels, voxels == 0));
-                filled += usize::from(voxels > 0);
+                filled += usize::from(!scanline.voxels.is_empty());
             }
         }
         let scanlines = prepared.volume().dims().iter().product::<usize>();
