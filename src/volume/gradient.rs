@@ -4,9 +4,10 @@
 //! of twice the spacing. What a frame needs of them is the surface normal of the voxels it draws, quantized
 //! (Lacroute and Levoy 1994, section 3.1: shading from a lookup table indexed by an encoded normal).
 //!
-//! No array holds them for all voxels: few are ever drawn, and eight gradients at once cost a few
-//! nanoseconds, about what fetching them from memory would. [`Gradients`] computes them from the scanlines of any principal axis,
-//! for the voxels that an encoding keeps and for those that a frame reads unencoded: to the same bits.
+//! [`Gradients`] computes eight at once from the scanlines of any principal axis, to the same bits from each.
+//! An encoding has that done for the voxels that it keeps, and needs no array of all. Frames of unencoded
+//! voxels ask for few in each block of eight, again and again; for them there is an array, made when the
+//! first of them asks ([`PreparedVolume::normals`](super::PreparedVolume::normals)).
 //!
 //! Lighting is two-sided: a normal and its opposite are lit alike. So only a hemisphere is
 //! encoded, by an octahedral map folded at the equator: one division, no trigonometry, cells of
@@ -21,9 +22,11 @@
 use std::sync::LazyLock;
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
+use rayon::prelude::*;
 
 use super::scanlines::Scanlines;
 use super::{Placement, Volume};
+use crate::simd::{self, Kernel};
 
 /// Steps along each side of the folded octahedral map.
 pub const NORMAL_STEPS: usize = 128;
@@ -184,6 +187,39 @@ pub fn normals([x, y, z]: &GradientBlock) -> [u16; BLOCK] {
     normals
 }
 
+/// The code of every voxel's normal, in the order of `scanlines`, those of the z axis.
+pub(super) fn quantized_normals<T: Code>(scanlines: Scanlines<'_, T>, frame: &GradientFrame) -> Vec<u16> {
+    let gradients = Gradients::new(scanlines, frame);
+    let [nx, ny, nz] = scanlines.dims();
+    let mut codes = vec![0; nx * ny * nz];
+    codes.par_chunks_mut(nx * ny).enumerate().for_each(|(z, plane)| {
+        simd::dispatch(NormalPlane { gradients, z, plane });
+    });
+    codes
+}
+
+/// A plane whose normals are wanted.
+struct NormalPlane<'a, T> {
+    gradients: Gradients<'a, T>,
+    z: usize,
+    plane: &'a mut [u16],
+}
+
+impl<T: Code> Kernel for NormalPlane<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let [nx, ..] = self.gradients.scanlines.dims();
+        for (y, row) in self.plane.chunks_exact_mut(nx).enumerate() {
+            for (block, codes) in row.chunks_mut(BLOCK).enumerate() {
+                let normals = normals(&self.gradients.block(y, self.z, block * BLOCK));
+                codes.copy_from_slice(&normals[..codes.len()]);
+            }
+        }
+    }
+}
+
 /// Magnitudes of a block's gradients, scalar units per mm.
 #[inline(always)]
 pub fn magnitudes([x, y, z]: &GradientBlock) -> [f32; BLOCK] {
@@ -339,7 +375,10 @@ mod tests {
                     // To the bit what any other block and principal axis make of the voxel.
                     let alone = z_gradients(prepared, frame, at);
                     assert_eq!(block.map(|g| g[n].to_bits()), alone.map(f32::to_bits), "at {at:?}");
-                    assert_eq!(normals(&block)[n], encode_normal(alone[0], alone[1], alone[2]));
+                    let normal = encode_normal(alone[0], alone[1], alone[2]);
+                    assert_eq!(normals(&block)[n], normal);
+                    let [nx, ny, _] = prepared.volume().dims();
+                    assert_eq!(prepared.normals()[(at[2] * ny + at[1]) * nx + at[0]], normal);
                 }
             }
         }

@@ -3,6 +3,7 @@
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
+use super::gradient::{GradientFrame, quantized_normals};
 use super::octree::MinMaxOctree;
 use super::scanlines::{AnyScanlines, Scanlines, turned};
 use super::{Scalars, Volume};
@@ -13,7 +14,7 @@ pub struct PrepareTimings {
     /// The second copy of the codes.
     pub scanlines: Duration,
     pub octree: Duration,
-    /// Ranges of gradient magnitude; zero until a transfer function asks for them.
+    /// Normals and ranges of gradient magnitude; zero until they are asked for.
     pub gradients: Duration,
 }
 
@@ -26,6 +27,8 @@ pub struct PreparedVolume {
     octree: MinMaxOctree,
     /// The octree with ranges of gradient magnitude, and how long those took.
     gradient_octree: OnceLock<(MinMaxOctree, Duration)>,
+    /// Codes of the normals, and how long they took.
+    normals: OnceLock<(Vec<u16>, Duration)>,
     timings: PrepareTimings,
 }
 
@@ -37,7 +40,7 @@ impl PreparedVolume {
         let scanlines = start.elapsed();
         let octree = MinMaxOctree::of_scalars(scanlines_of(volume.scalars(), volume.dims(), 2));
         let timings = PrepareTimings { scanlines, octree: start.elapsed() - scanlines, gradients: Duration::ZERO };
-        Self { volume, turned, octree, gradient_octree: OnceLock::new(), timings }
+        Self { volume, turned, octree, gradient_octree: OnceLock::new(), normals: OnceLock::new(), timings }
     }
 
     /// What was measured.
@@ -59,31 +62,50 @@ impl PreparedVolume {
     /// Ranges of scalar and gradient magnitude, the latter found on the current rayon pool when first
     /// asked for.
     pub fn gradient_octree(&self) -> &MinMaxOctree {
-        let there = || self.gradient_octree.get().map(|(octree, _)| octree);
-        // Found outside the lock: who waited for it here could be stealing work from who holds it.
-        there().unwrap_or_else(|| {
-            let start = Instant::now();
-            let octree = self.octree.with_gradients(&self.volume, self.scanlines(2));
-            let _the_first_one_stays = self.gradient_octree.set((octree, start.elapsed()));
-            there().expect("it was just set")
-        })
+        once(&self.gradient_octree, || self.octree.with_gradients(&self.volume, self.scanlines(2)))
+    }
+
+    /// Codes of the normals ([`super::gradient`]), x fastest; found on the current rayon pool when first asked
+    /// for.
+    pub fn normals(&self) -> &[u16] {
+        let frame = GradientFrame::new(self.volume.placement(), self.volume.rescale().0);
+        let normals: &Vec<u16> = once(&self.normals, || match self.scanlines(2) {
+            AnyScanlines::U8(scanlines) => quantized_normals(scanlines, &frame),
+            AnyScanlines::U16(scanlines) => quantized_normals(scanlines, &frame),
+        });
+        normals
     }
 
     /// How long the structures took.
     pub fn timings(&self) -> PrepareTimings {
-        let gradients = self.gradient_octree.get().map_or(Duration::ZERO, |(_, took)| *took);
-        PrepareTimings { gradients, ..self.timings }
+        let octree = self.gradient_octree.get().map(|(_, took)| *took);
+        let normals = self.normals.get().map(|(_, took)| *took);
+        PrepareTimings { gradients: octree.into_iter().chain(normals).sum(), ..self.timings }
     }
 
     /// Bytes in memory, by structure: `volume`, `scanlines` (the second copy), `octree`, `gradients`.
     pub fn bytes(&self) -> [(&'static str, u64); 4] {
+        let ranges = self.gradient_octree.get().map_or(0, |(octree, _)| octree.bytes());
+        let normals = self.normals.get().map_or(0, |(normals, _)| size_of_val(&normals[..]) as u64);
         [
             ("volume", self.volume.scalars().bytes() as u64),
             ("scanlines", self.turned.bytes() as u64),
             ("octree", self.octree.bytes()),
-            ("gradients", self.gradient_octree.get().map_or(0, |(octree, _)| octree.bytes())),
+            ("gradients", ranges + normals),
         ]
     }
+}
+
+/// What `cell` holds, found first where nobody has; with how long that took.
+fn once<T>(cell: &OnceLock<(T, Duration)>, find: impl FnOnce() -> T) -> &T {
+    let there = || cell.get().map(|(found, _)| found);
+    // Found outside the lock: who waited for it here could be stealing work from who holds it.
+    there().unwrap_or_else(|| {
+        let start = Instant::now();
+        let found = find();
+        let _the_first_one_stays = cell.set((found, start.elapsed()));
+        there().expect("it was just set")
+    })
 }
 
 fn scanlines_of(codes: &Scalars, dims: [usize; 3], axis: usize) -> AnyScanlines<'_> {

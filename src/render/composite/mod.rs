@@ -63,7 +63,7 @@ pub trait Composite: Sync {
     /// [`RenderError::Cancelled`].
     fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError>;
 
-    /// Composites into `image`, which must be transparent and of the factorization's size.
+    /// Composites into `image`, which must be of the factorization's size.
     ///
     /// # Errors
     /// [`RenderError::Cancelled`].
@@ -90,7 +90,10 @@ impl<C: Composite> Kernel for Job<'_, '_, C> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.composite.band(self.band, self.scratch)
+        self.band.clear();
+        self.composite.band(self.band, self.scratch)?;
+        self.band.measure();
+        Ok(())
     }
 }
 

@@ -36,6 +36,7 @@ pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel)
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
+        band.clear();
         let v = band.first;
         for (u, pixel) in band.scanline(0).pixels.iter_mut().enumerate() {
             *pixel = pixels.pixel(u, v);

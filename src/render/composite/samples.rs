@@ -113,6 +113,12 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         self.gradients.block(j, k, first)
     }
 
+    /// Codes of scanline `j` of slice `k`.
+    #[inline(always)]
+    pub fn row(&self, j: usize, k: usize) -> &'a [T] {
+        self.scanlines.row(j, k)
+    }
+
     /// Codes of eight voxels, the scanline's last one repeated past its end.
     #[inline(always)]
     pub fn codes(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
