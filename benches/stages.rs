@@ -8,12 +8,11 @@ use glam::Vec4;
 use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, SlabTables, Slabs};
 use shearwarp::classify::summed_area::SummedAreaTable;
 use shearwarp::classify::{
-    Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction, presets,
+    CellRuns, Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction,
+    presets,
 };
 use shearwarp::encode::{Format, encode};
 use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Quality, Scene, Settings, View, render};
-use shearwarp::volume::gradient::quantized_normals;
-use shearwarp::volume::octree::MinMaxOctree;
 use shearwarp::volume::{PreparedVolume, phantom};
 
 fn stages(criterion: &mut Criterion) {
@@ -25,14 +24,25 @@ fn stages(criterion: &mut Criterion) {
     let occupied = prepared.octree().occupied_leaves(|range| summed_area.is_transparent(range));
 
     criterion.bench_function("phantom", |b| b.iter(phantom::head));
-    criterion.bench_function("gradients", |b| b.iter(|| quantized_normals(volume)));
-    criterion.bench_function("octree", |b| b.iter(|| MinMaxOctree::build(volume)));
+    criterion.bench_function("scanlines and octree", |b| {
+        b.iter_batched(phantom::head, PreparedVolume::build, BatchSize::PerIteration);
+    });
+    criterion.bench_function("gradients", |b| {
+        b.iter_batched_ref(
+            || PreparedVolume::build(phantom::head()),
+            |p| p.gradient_octree().bytes(),
+            BatchSize::PerIteration,
+        );
+    });
     criterion.bench_function("summed_area_table", |b| {
         b.iter(|| SummedAreaTable::new(&tables, &transfer, prepared.octree()));
     });
     criterion.bench_function("run_lengths", |b| {
         b.iter(|| RunLengthVolume::encode(&prepared, &tables, &transfer, &occupied));
     });
+    let slabs = Classification::build(&prepared, &transfer, Purpose::Slabs { entries: 256 });
+    let visible = slabs.slabs().expect("it is of slabs").visible_codes();
+    criterion.bench_function("cell_runs", |b| b.iter(|| CellRuns::encode(&prepared, visible, slabs.occupied())));
 
     let classification = Classification::build(&prepared, &transfer, Purpose::Voxels { min_opacity: 0.002 });
     let encodings = Encodings::build(&prepared, &transfer, &classification);

@@ -211,7 +211,9 @@ impl Summary {
 fn prepare_ms(stage: &Stage, load: Duration, preintegration_table: Duration) -> Named<f64> {
     let ms = |(step, duration): (&'static str, Duration)| (step, duration.as_secs_f64() * 1e3);
     let prepared = stage.prepared.timings();
-    let mut steps = vec![ms(("load", load)), ms(("gradients", prepared.gradients)), ms(("octree", prepared.octree))];
+    let prepared = [("scanlines", prepared.scanlines), ("octree", prepared.octree), ("gradients", prepared.gradients)];
+    let mut steps = vec![ms(("load", load))];
+    steps.extend(prepared.map(ms));
     if let Some(Classified { classification, encodings }) = &stage.classified {
         steps.push(ms(("summed_area_table", classification.summed_area_table())));
         steps.extend(encodings.as_ref().map(|(_, took)| ms(("run_lengths", *took))));

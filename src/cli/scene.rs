@@ -184,7 +184,7 @@ impl Stage {
         let volume = loaded.volume;
         let presets = FittedPresets::of(&volume, loaded.modality.as_deref());
         let resolved = request.resolve(&volume, &presets, &LIMITS).map_err(refused)?;
-        let progress = spinner("gradients and octree");
+        let progress = spinner("octree");
         let level = if resolved.level() == 0 { volume.clone() } else { pyramid::coarser(&volume) };
         let prepared = PreparedVolume::build(level);
         progress.set_message("run-length encodings");

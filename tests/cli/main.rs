@@ -130,7 +130,7 @@ fn info_says_what_the_volume_is() {
     assert_eq!(info["value_range"], serde_json::json!([0.0, 200.0]));
     let counts = info["histogram"]["counts"].as_array().unwrap();
     assert_eq!(counts.iter().filter_map(Value::as_u64).sum::<u64>(), 20 * 24 * 28);
-    for structure in ["volume", "gradients", "octree", "run_lengths", "tables"] {
+    for structure in ["volume", "scanlines", "octree", "run_lengths", "tables"] {
         assert!(info["bytes"][structure].as_u64().unwrap() > 0, "{structure}");
     }
     let text = String::from_utf8(run(&folder, "info", &[]).stdout).unwrap();
@@ -167,10 +167,10 @@ fn bench_reports_every_phase_that_ran() {
         assert!(0.0 <= of("min") && of("min") <= of("median") && of("median") <= of("max"), "{report}");
         assert!(of("min") <= of("mean") && of("mean") <= of("max"), "{report}");
     }
-    for step in ["load", "gradients", "octree", "summed_area_table", "run_lengths"] {
+    for step in ["load", "scanlines", "octree", "gradients", "summed_area_table", "run_lengths"] {
         assert!(report["prepare_ms"][step].as_f64().unwrap() >= 0.0, "{step}");
     }
-    for structure in ["volume", "gradients", "octree", "run_lengths", "tables", "images"] {
+    for structure in ["volume", "scanlines", "octree", "run_lengths", "tables", "images"] {
         assert!(report["bytes"][structure].as_u64().unwrap() > 0, "{structure}");
     }
 }
@@ -184,7 +184,7 @@ fn bench_leaves_out_steps_that_did_not_run() {
     let report: Value = serde_json::from_slice(&fs::read(&out).unwrap()).unwrap();
     let keys = |map: &str| report[map].as_object().unwrap().keys().cloned().collect::<Vec<_>>();
     assert_eq!(keys("frame_ms"), ["composite", "encode", "render", "total"]);
-    assert_eq!(keys("prepare_ms"), ["gradients", "load", "octree"]);
+    assert_eq!(keys("prepare_ms"), ["gradients", "load", "octree", "scanlines"]);
     assert!(!keys("bytes").contains(&"run_lengths".to_owned()));
 }
 

@@ -30,7 +30,7 @@ use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
 use crate::render::ray_light::RayLight;
 use crate::render::simd::{self, Kernel, prefetch};
 use crate::volume::Volume;
-use crate::volume::gradient::{Code, GradientFrame, encode_normal, gradient_at};
+use crate::volume::gradient::{Code, GradientFrame, Gradients, encode_normal, magnitudes};
 use crate::volume::scanlines::Scanlines;
 
 /// Voxels that are classified at once.
@@ -56,7 +56,7 @@ pub enum VoxelLight<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct VoxelRows<'a, T> {
     scanlines: Scanlines<'a, T>,
-    volume: &'a Volume,
+    gradients: Gradients<'a, T>,
     /// Voxels along i, j, k.
     dims: [usize; 3],
     /// Slices are walked from the last to the first.
@@ -79,7 +79,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     ) -> Self {
         Self {
             scanlines,
-            volume,
+            gradients: Gradients::new(scanlines, &GradientFrame::new(volume.placement(), volume.rescale().0)),
             dims: factorization.dims,
             reversed: factorization.reversed,
             permutation: PERMUTATIONS[factorization.principal_axis],
@@ -198,12 +198,8 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// The gradient opacity of voxel (i, j, k), 255 = 1; that of the scanline's last voxel past its end.
     pub fn gradient_factor(&self, [i, j, k]: [usize; 3]) -> u8 {
         let Some(transfer) = self.gradient_opacity else { return u8::MAX };
-        let mut index = [0; 3];
-        for (axis, at) in self.permutation.into_iter().zip([i.min(self.dims[0] - 1), j, k]) {
-            index[axis] = at;
-        }
-        let magnitude = gradient_at(self.volume, &self.frame, index).length();
-        (transfer.gradient_factor(magnitude) * 255.0).round() as u8
+        let magnitude = magnitudes(&self.gradients.block(j, k, i.min(self.dims[0] - 1)))[0];
+        (transfer.gradient_factor(magnitude.into()) * 255.0).round() as u8
     }
 }
 
