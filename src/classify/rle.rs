@@ -132,7 +132,9 @@ impl<'a> AxisEncoding<'a> {
     #[inline(always)]
     pub fn place(&self, j: usize, k: usize) -> &'a [[u32; 2]] {
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
-        self.planes.get(plane).and_then(|plane| plane.rows.get(row..row + 1)).unwrap_or_default()
+        // Before the first one and after the last there is none.
+        let rows = self.planes.get(plane).and_then(|plane| plane.rows.get(row..)).unwrap_or_default();
+        &rows[..rows.len().min(1)]
     }
 
     /// Scanline `j` of slice `k`.

@@ -83,13 +83,12 @@ impl PreparedVolume {
         PrepareTimings { gradients: octree.into_iter().chain(normals).sum(), ..self.timings }
     }
 
-    /// Bytes in memory, by structure: `volume`, `scanlines` (the second copy), `octree`, `gradients`.
-    pub fn bytes(&self) -> [(&'static str, u64); 4] {
+    /// Bytes in memory, by structure: `volume` (with the second copy), `octree`, `gradients`.
+    pub fn bytes(&self) -> [(&'static str, u64); 3] {
         let ranges = self.gradient_octree.get().map_or(0, |(octree, _)| octree.bytes());
         let normals = self.normals.get().map_or(0, |(normals, _)| size_of_val(&normals[..]) as u64);
         [
-            ("volume", self.volume.scalars().bytes() as u64),
-            ("scanlines", self.turned.bytes() as u64),
+            ("volume", (self.volume.scalars().bytes() + self.turned.bytes()) as u64),
             ("octree", self.octree.bytes()),
             ("gradients", ranges + normals),
         ]

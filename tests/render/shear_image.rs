@@ -233,7 +233,8 @@ fn a_uniform_box_has_its_closed_form_from_everywhere() {
                 leave = leave.min(ends[0].max(ends[1]));
             }
             let expected = 255.0 * (1.0 - (-tau * (leave - enter).max(0.0)).exp());
-            assert!((f64::from(pixel[3]) - expected).abs() <= 0.55, "{camera:?} {at}: {} {expected}", pixel[3]);
+            // Rounding to 8 bits, and a tenth of a step for lengths of slabs, which are rounded too.
+            assert!((f64::from(pixel[3]) - expected).abs() <= 0.6, "{camera:?} {at}: {} {expected}", pixel[3]);
         }
     }
 }

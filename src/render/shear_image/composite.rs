@@ -560,14 +560,14 @@ fn world(columns: [Vec3; 3], differences: &[Lanes; 3]) -> [Lanes; 3] {
     gradients
 }
 
-/// e^x, to 2e-7 of it; x at most 88.
+/// e^x, to 3e-7 of it; x at most 88.
 #[inline(always)]
 fn exp(x: &Lanes) -> Lanes {
     /// Added to a number, rounds it to an integer and leaves that in the lowest bits.
     const INTEGER: f32 = 12_582_912.0;
     let mut powers = [0.0; LANES];
     for lane in 0..LANES {
-        let x = x[lane].max(-87.0).min(88.0);
+        let x = x[lane].max(-87.0);
         let shifted = x * std::f32::consts::LOG2_E + INTEGER;
         let whole = shifted - INTEGER;
         // ln 2 in two parts, the first of few bits.
@@ -592,7 +592,7 @@ mod tests {
             let x = n as f32 / 100.0;
             let expected = f64::from(x).exp();
             let error = (f64::from(exp(&[x; LANES])[3]) - expected) / expected;
-            assert!(error.abs() < 2e-7, "{x}: {error}");
+            assert!(error.abs() < 3e-7, "{x}: {error}");
         }
         assert_eq!(exp(&[0.0; LANES]), [1.0; LANES]);
     }
