@@ -113,11 +113,11 @@ impl GradientFrame {
     }
 }
 
-/// Voxels whose gradients are computed at once.
+/// Voxels whose gradients are computed at once where whole scanlines are.
 pub const BLOCK: usize = 8;
 
 /// Gradients of a block of voxels along the frame's axes, one array each.
-pub type GradientBlock = [[f32; BLOCK]; 3];
+pub type GradientBlock<const N: usize> = [[f32; N]; 3];
 
 /// The gradients of a volume's voxels, computed from its scanlines where they are asked for.
 #[derive(Clone, Copy, Debug)]
@@ -134,20 +134,20 @@ impl<'a, T: Code> Gradients<'a, T> {
         Self { scanlines, frame_from_differences, diagonal: frame.diagonal }
     }
 
-    /// The gradients at voxels `first..first + BLOCK` of scanline `j` of slice `k`; past the scanline's end
+    /// The gradients at voxels `first..first + N` of scanline `j` of slice `k`; past the scanline's end
     /// they mean nothing. The same bits whichever principal axis the scanlines are of.
     #[inline(always)]
-    pub fn block(&self, j: usize, k: usize, first: usize) -> GradientBlock {
+    pub fn block<const N: usize>(&self, j: usize, k: usize, first: usize) -> GradientBlock<N> {
         let [_, nj, nk] = self.scanlines.dims();
         let row = self.scanlines.row(j, k);
-        let along_i = match first.checked_sub(1).and_then(|from| row.get(from..first + BLOCK + 1)) {
-            Some(around) => difference(eight(around, 2), eight(around, 0)),
+        let along_i = match first.checked_sub(1).and_then(|from| row.get(from..first + N + 1)) {
+            Some(around) => difference(codes_from(around, 2), codes_from(around, 0)),
             None => difference_at_an_end(row, first),
         };
         let (before, after) = (self.scanlines.row(j.saturating_sub(1), k), self.scanlines.row((j + 1).min(nj - 1), k));
-        let along_j = difference(eight(after, first), eight(before, first));
+        let along_j = difference(codes_from(after, first), codes_from(before, first));
         let (before, after) = (self.scanlines.row(j, k.saturating_sub(1)), self.scanlines.row(j, (k + 1).min(nk - 1)));
-        let along_k = difference(eight(after, first), eight(before, first));
+        let along_k = difference(codes_from(after, first), codes_from(before, first));
         // In the volume's own order, so that sums round alike for all principal axes.
         // (Chosen by a branch: arrays that are indexed by variables live in memory.)
         self.turn(&match self.scanlines.axes() {
@@ -159,10 +159,10 @@ impl<'a, T: Code> Gradients<'a, T> {
 
     /// Differences along the volume's axes -> components along the frame's.
     #[inline(always)]
-    fn turn(&self, [x, y, z]: &GradientBlock) -> GradientBlock {
+    fn turn<const N: usize>(&self, [x, y, z]: &GradientBlock<N>) -> GradientBlock<N> {
         let m = &self.frame_from_differences;
-        let mut turned = [[0.0; BLOCK]; 3];
-        for n in 0..BLOCK {
+        let mut turned = [[0.0; N]; 3];
+        for n in 0..N {
             if self.diagonal {
                 turned[0][n] = m.x_axis.x * x[n];
                 turned[1][n] = m.y_axis.y * y[n];
@@ -179,9 +179,9 @@ impl<'a, T: Code> Gradients<'a, T> {
 
 /// Codes of the normals of a block's gradients.
 #[inline(always)]
-pub fn normals([x, y, z]: &GradientBlock) -> [u16; BLOCK] {
-    let mut normals = [0; BLOCK];
-    for n in 0..BLOCK {
+pub fn normals<const N: usize>([x, y, z]: &GradientBlock<N>) -> [u16; N] {
+    let mut normals = [0; N];
+    for n in 0..N {
         normals[n] = encode_normal(x[n], y[n], z[n]);
     }
     normals
@@ -213,7 +213,7 @@ impl<T: Code> Kernel for NormalPlane<'_, T> {
         let [nx, ..] = self.gradients.scanlines.dims();
         for (y, row) in self.plane.chunks_exact_mut(nx).enumerate() {
             for (block, codes) in row.chunks_mut(BLOCK).enumerate() {
-                let normals = normals(&self.gradients.block(y, self.z, block * BLOCK));
+                let normals = normals(&self.gradients.block::<BLOCK>(y, self.z, block * BLOCK));
                 codes.copy_from_slice(&normals[..codes.len()]);
             }
         }
@@ -222,20 +222,20 @@ impl<T: Code> Kernel for NormalPlane<'_, T> {
 
 /// Magnitudes of a block's gradients, scalar units per mm.
 #[inline(always)]
-pub fn magnitudes([x, y, z]: &GradientBlock) -> [f32; BLOCK] {
-    let mut magnitudes = [0.0; BLOCK];
-    for n in 0..BLOCK {
+pub fn magnitudes<const N: usize>([x, y, z]: &GradientBlock<N>) -> [f32; N] {
+    let mut magnitudes = [0.0; N];
+    for n in 0..N {
         magnitudes[n] = (x[n] * x[n] + y[n] * y[n] + z[n] * z[n]).sqrt();
     }
     magnitudes
 }
 
-/// Eight codes from `first` on; the scanline's last one is repeated.
+/// Codes from `first` on; the scanline's last one is repeated.
 #[inline(always)]
-fn eight<T: Code>(row: &[T], first: usize) -> [i32; BLOCK] {
-    let mut codes = [0; BLOCK];
-    if let Some(within) = row.get(first..first + BLOCK) {
-        for n in 0..BLOCK {
+fn codes_from<T: Code, const N: usize>(row: &[T], first: usize) -> [i32; N] {
+    let mut codes = [0; N];
+    if let Some(within) = row.get(first..first + N) {
+        for n in 0..N {
             codes[n] = within[n].as_i32();
         }
     } else {
@@ -248,17 +248,17 @@ fn eight<T: Code>(row: &[T], first: usize) -> [i32; BLOCK] {
 
 /// Differences of codes: of 16 bits and a sign, which an f32 holds exactly.
 #[inline(always)]
-fn difference(after: [i32; BLOCK], before: [i32; BLOCK]) -> [f32; BLOCK] {
-    let mut differences = [0.0; BLOCK];
-    for n in 0..BLOCK {
+fn difference<const N: usize>(after: [i32; N], before: [i32; N]) -> [f32; N] {
+    let mut differences = [0.0; N];
+    for n in 0..N {
         differences[n] = (after[n] - before[n]) as f32;
     }
     differences
 }
 
-/// Differences along a scanline where the neighbours of eight voxels are not all within it.
+/// Differences along a scanline where the neighbours of a block's voxels are not all within it.
 #[inline(never)]
-fn difference_at_an_end<T: Code>(row: &[T], first: usize) -> [f32; BLOCK] {
+fn difference_at_an_end<T: Code, const N: usize>(row: &[T], first: usize) -> [f32; N] {
     let code = |i: usize| row[i.min(row.len() - 1)].as_i32();
     std::array::from_fn(|n| (code(first + n + 1) - code((first + n).saturating_sub(1).min(row.len() - 1))) as f32)
 }
@@ -362,7 +362,7 @@ mod tests {
         let [ni, nj, nk] = scanlines.dims();
         for (j, k) in (0..nk).flat_map(|k| (0..nj).map(move |j| (j, k))) {
             for first in 0..ni {
-                let block = gradients.block(j, k, first);
+                let block = gradients.block::<BLOCK>(j, k, first);
                 for n in 0..BLOCK.min(ni - first) {
                     let mut at = [0; 3];
                     for (axis, index) in scanlines.axes().into_iter().zip([first + n, j, k]) {
@@ -387,8 +387,8 @@ mod tests {
     /// The first of the block at a voxel, by the scanlines of the z axis.
     fn z_gradients(prepared: &PreparedVolume, frame: &GradientFrame, [x, y, z]: [usize; 3]) -> [f32; 3] {
         match prepared.scanlines(2) {
-            AnyScanlines::U8(scanlines) => Gradients::new(scanlines, frame).block(y, z, x).map(|g| g[0]),
-            AnyScanlines::U16(scanlines) => Gradients::new(scanlines, frame).block(y, z, x).map(|g| g[0]),
+            AnyScanlines::U8(scanlines) => Gradients::new(scanlines, frame).block::<1>(y, z, x).map(|g| g[0]),
+            AnyScanlines::U16(scanlines) => Gradients::new(scanlines, frame).block::<1>(y, z, x).map(|g| g[0]),
         }
     }
 

@@ -228,7 +228,7 @@ impl<T: Code> Kernel for GradientLayer<'_, T> {
             for k in voxels(self.bk, nz) {
                 for j in voxels(bj, ny) {
                     for (block, [low, high]) in along.iter_mut().enumerate() {
-                        let magnitudes = magnitudes(&self.gradients.block(j, k, block * BLOCK));
+                        let magnitudes = magnitudes(&self.gradients.block::<BLOCK>(j, k, block * BLOCK));
                         for n in 0..BLOCK {
                             low[n] = magnitudes[n].min(low[n]);
                             high[n] = magnitudes[n].max(high[n]);

@@ -4,12 +4,12 @@ use glam::{DMat4, DVec2, DVec3};
 use proptest::prelude::*;
 use shearwarp::classify::{GradientPoint, TransferFunction};
 use shearwarp::render::{
-    Algorithm, Background, BufferSlice, Camera, DepthCueing, Image, Light, LookAt, Lookup, OpacityCorrection, Orbit,
-    Preintegration, Projection, Quality, Settings, Shading, SlabTable, View,
+    Algorithm, Background, Camera, DepthCueing, Image, Light, LookAt, Lookup, OpacityCorrection, Orbit, Preintegration,
+    Projection, Quality, Settings, Shading, SlabTable, View,
 };
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
-use crate::scenes::{ANGLES, Prepared, chord, medium, on_threads, plain, transfer};
+use crate::scenes::{ANGLES, Prepared, chord, medium, plain, same_bits, transfer};
 
 fn volume(dims: [usize; 3], spacing: [f64; 3], code: impl Fn(DVec3) -> f64) -> Volume {
     let codes = (0..dims.iter().product()).map(|index: usize| {
@@ -99,32 +99,13 @@ fn cameras(scene: &Prepared) -> Vec<Camera> {
     ANGLES.map(|angles| orbit(angles, 40.0)).into_iter().chain(near).collect()
 }
 
-/// The frame, after it was compared with its twins.
-fn same_bits(scene: &Prepared, camera: &Camera, settings: &Settings) -> Image {
-    let view = scene.view(camera, 47, 40);
-    let classification = &scene.classified[usize::from(settings.algorithm == Algorithm::Preintegrated)].0;
-    let frame = scene.frame(&view, settings);
-    let naive = scene.frame(&view, &Settings { skipping: false, ..settings.clone() });
-    assert!(frame == naive, "differs from its twin: {camera:?} {settings:?}");
-    let unencoded = scene.frame_with(classification, None, &view, settings);
-    assert!(frame == unencoded, "encodings change {camera:?} {settings:?}");
-    let preintegration = Preintegration { buffer: BufferSlice::Image, ..settings.preintegration };
-    let image_buffer = scene.frame(&view, &Settings { preintegration, ..settings.clone() });
-    assert!(frame == image_buffer, "the buffer slice changes {camera:?} {settings:?}");
-    for threads in [1, 2, 7] {
-        let on = on_threads(threads, || scene.frame(&view, settings));
-        assert!(frame == on, "{threads} threads change {camera:?} {settings:?}");
-    }
-    frame
-}
-
 #[test]
 fn skipping_encodings_buffers_and_threads_change_no_bit_in_perspective() {
     for function in [solid(), with_gradient_opacity()] {
         let scene = Prepared::new(lumps([140, 37, 45], [1.0, 1.5, 0.8]), function, 0.004);
         for camera in cameras(&scene) {
             for settings in all_settings() {
-                let frame = same_bits(&scene, &camera, &settings);
+                let frame = same_bits(&scene, &scene.view(&camera, 47, 40), &settings);
                 assert!(frame.pixels.iter().any(|&p| p > 0), "an empty picture by {camera:?}");
             }
         }
@@ -154,7 +135,7 @@ proptest! {
         let scene = Prepared::new(volume, function, 0.01);
         let camera = within(&scene, from, along.map(|a| a + 1e-3), fov_y);
         let settings = Settings { early_ray_termination: termination, ..all_settings()[which].clone() };
-        same_bits(&scene, &camera, &settings);
+        same_bits(&scene, &scene.view(&camera, 47, 40), &settings);
     }
 }
 

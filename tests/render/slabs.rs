@@ -3,12 +3,12 @@
 use proptest::prelude::*;
 use shearwarp::classify::{GradientPoint, TransferFunction};
 use shearwarp::render::{
-    Algorithm, BufferSlice, Camera, DepthCueing, Image, Light, Lookup, OpacityCorrection, Orbit, Preintegration,
-    Projection, Quality, Settings, Shading, SlabTable,
+    Algorithm, Camera, DepthCueing, Image, Light, Lookup, OpacityCorrection, Orbit, Preintegration, Projection,
+    Quality, Settings, Shading, SlabTable,
 };
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
-use crate::scenes::{ANGLES, Prepared, on_threads, plain, transfer};
+use crate::scenes::{ANGLES, Prepared, plain, same_bits, transfer};
 
 /// Smooth lumps with empty space between them, some of them cut by the volume's sides.
 fn lump([x, y, z]: [usize; 3]) -> f64 {
@@ -86,32 +86,13 @@ fn all_settings() -> Vec<Settings> {
     ]
 }
 
-/// The frame, after it was compared with its twins.
-fn same_bits(scene: &Prepared, camera: &Camera, settings: &Settings) -> Image {
-    let view = scene.view(camera, 47, 40);
-    let (classification, _) = &scene.classified[1];
-    let frame = scene.frame(&view, settings);
-    let naive = scene.frame(&view, &Settings { skipping: false, ..settings.clone() });
-    assert!(frame == naive, "differs from its twin: {camera:?} {settings:?}");
-    let by_leaves = scene.frame_with(classification, None, &view, settings);
-    assert!(frame == by_leaves, "encodings change {camera:?} {settings:?}");
-    let preintegration = Preintegration { buffer: BufferSlice::Image, ..settings.preintegration };
-    let image_buffer = scene.frame(&view, &Settings { preintegration, ..settings.clone() });
-    assert!(frame == image_buffer, "the buffer slice changes {camera:?} {settings:?}");
-    for threads in [1, 2, 7] {
-        let on = on_threads(threads, || scene.frame(&view, settings));
-        assert!(frame == on, "{threads} threads change {camera:?} {settings:?}");
-    }
-    frame
-}
-
 #[test]
 fn skipping_encodings_buffers_and_threads_change_no_bit_along_any_axis() {
     for (bits, function) in [(8, surface()), (16, by_gradient())] {
         let scene = Prepared::new(lumps([140, 37, 45], [1.0, 1.5, 0.8], bits), function, 0.0);
         for angles in ANGLES {
             for settings in all_settings() {
-                let frame = same_bits(&scene, &orbit(angles), &settings);
+                let frame = same_bits(&scene, &scene.view(&orbit(angles), 47, 40), &settings);
                 assert!(frame.pixels.iter().any(|&p| p > 0), "an empty picture at {angles:?}");
             }
         }
@@ -138,7 +119,7 @@ proptest! {
         let function = transfer(&[(low, 0.0), (low + 20.0, opacity), (255.0, opacity / 2.0)]);
         let scene = Prepared::new(volume, function, 0.0);
         let settings = Settings { early_ray_termination: termination, ..all_settings()[which].clone() };
-        same_bits(&scene, &orbit(angles), &settings);
+        same_bits(&scene, &scene.view(&orbit(angles), 47, 40), &settings);
     }
 }
 

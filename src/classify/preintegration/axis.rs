@@ -75,21 +75,6 @@ impl SlabAxis {
         if self.knots.is_empty() { self.above_first(code) } else { self.between_knots(code) }
     }
 
-    /// Positions of several codes.
-    #[inline(always)]
-    pub fn coordinates<const N: usize>(&self, mut codes: [f32; N]) -> [f32; N] {
-        if self.knots.is_empty() {
-            for code in &mut codes {
-                *code = self.above_first(*code);
-            }
-        } else {
-            for code in &mut codes {
-                *code = self.between_knots(*code);
-            }
-        }
-        codes
-    }
-
     /// At least 0: rounding may leave a scalar a hair below the first code.
     #[inline(always)]
     fn above_first(&self, code: f32) -> f32 {

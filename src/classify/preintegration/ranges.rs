@@ -201,8 +201,8 @@ fn over(front: Vec4, back: Vec4) -> Vec4 {
 /// the nearer one. All terms are positive, so that small depths lose no digits, and there is no
 /// exponential whose last bits a library might choose.
 fn light(depth: f32) -> [f32; 2] {
-    // No f32 tells a depth of 32 from more.
-    let mut x = depth.min(32.0);
+    // A deep slab is opaque, but how far the light comes from still falls with its depth.
+    let mut x = depth.min(f32::MAX);
     let mut doublings = 0;
     while x > 0.25 {
         x *= 0.5;

@@ -100,11 +100,6 @@ impl Slabs for Nearest<'_> {
     }
 
     #[inline(always)]
-    fn coordinates<const N: usize>(self, codes: [f32; N]) -> [f32; N] {
-        self.0.axis.coordinates(codes)
-    }
-
-    #[inline(always)]
     fn slab(self, front: f32, back: f32) -> Vec4 {
         self.0.nearest(front, back)
     }
@@ -118,11 +113,6 @@ impl Slabs for Bilinear<'_> {
     #[inline(always)]
     fn coordinate(self, code: f32) -> f32 {
         self.0.axis.coordinate(code)
-    }
-
-    #[inline(always)]
-    fn coordinates<const N: usize>(self, codes: [f32; N]) -> [f32; N] {
-        self.0.axis.coordinates(codes)
     }
 
     #[inline(always)]

@@ -132,7 +132,7 @@ impl<T: Code> EncodePlane<'_, T> {
         for (y, ((visible, marked), factors)) in rows.enumerate() {
             let row = scanlines.row(y, self.z);
             for block in Blocks::new(visible) {
-                let magnitudes = magnitudes(&gradients.block(y, self.z, block.first));
+                let magnitudes = magnitudes(&gradients.block::<BLOCK>(y, self.z, block.first));
                 for n in block.voxels() {
                     let at = block.first + n;
                     let factor = (transfer.gradient_factor(magnitudes[n].into()) * 255.0).round() as u8;
@@ -157,7 +157,7 @@ impl<T: Code> EncodePlane<'_, T> {
         for (y, marked) in marked.chunks_exact(words(nx)).enumerate() {
             let row = scanlines.row(y, self.z);
             for block in Blocks::new(marked) {
-                let normals = normals(&gradients.block(y, self.z, block.first));
+                let normals = normals(&gradients.block::<BLOCK>(y, self.z, block.first));
                 for n in block.voxels() {
                     let x = block.first + n;
                     let voxel = Voxel { code: row[x].into(), normal: normals[n] };
@@ -283,8 +283,8 @@ mod tests {
         let code = volume.scalars().code((at[2] * ny + at[1]) * nx + at[0]);
         let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
         let block = match prepared.scanlines(2) {
-            AnyScanlines::U8(scanlines) => Gradients::new(scanlines, &frame).block(at[1], at[2], at[0]),
-            AnyScanlines::U16(scanlines) => Gradients::new(scanlines, &frame).block(at[1], at[2], at[0]),
+            AnyScanlines::U8(scanlines) => Gradients::new(scanlines, &frame).block::<1>(at[1], at[2], at[0]),
+            AnyScanlines::U16(scanlines) => Gradients::new(scanlines, &frame).block::<1>(at[1], at[2], at[0]),
         };
         let factor = (transfer.gradient_factor(magnitudes(&block)[0].into()) * 255.0).round() as u8;
         let voxel = Voxel { code, normal: encode_normal(block[0][0], block[1][0], block[2][0]) };

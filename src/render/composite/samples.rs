@@ -18,7 +18,7 @@
 use std::fmt::Debug;
 use std::ops::{Range, RangeInclusive};
 
-use glam::{DMat3, Vec4};
+use glam::Vec4;
 
 use super::WORD;
 use super::lattice::Lattice;
@@ -26,11 +26,11 @@ use super::mask::{Mask, Runs};
 use super::sources::StoredNormals;
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
-use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
+use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::ray_light::RayLight;
 use crate::render::simd::{self, Kernel, prefetch};
 use crate::volume::Volume;
-use crate::volume::gradient::{Code, GradientFrame, Gradients, encode_normal, magnitudes};
+use crate::volume::gradient::{Code, GradientFrame, Gradients, magnitudes, normals};
 use crate::volume::scanlines::Scanlines;
 
 /// Voxels that are classified at once.
@@ -61,9 +61,6 @@ pub struct VoxelRows<'a, T> {
     dims: [usize; 3],
     /// Slices are walked from the last to the first.
     reversed: bool,
-    /// The volume's axes that i, j, k stand for.
-    permutation: [usize; 3],
-    frame: GradientFrame,
     light: VoxelLight<'a>,
     gradient_opacity: Option<&'a TransferFunction>,
 }
@@ -82,22 +79,8 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             gradients: Gradients::new(scanlines, &GradientFrame::new(volume.placement(), volume.rescale().0)),
             dims: factorization.dims,
             reversed: factorization.reversed,
-            permutation: PERMUTATIONS[factorization.principal_axis],
-            frame: GradientFrame::new(volume.placement(), volume.rescale().0),
             light,
             gradient_opacity: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
-        }
-    }
-
-    /// Scanline `j` of slice `k` and those around it.
-    #[inline(always)]
-    fn around(&self, j: usize, k: usize) -> Around<'a, T> {
-        let [_, nj, nk] = self.dims;
-        // No closure: that would not be inlined.
-        Around {
-            here: self.scanlines.row(j, k),
-            along_j: [self.scanlines.row(j.saturating_sub(1), k), self.scanlines.row((j + 1).min(nj - 1), k)],
-            along_k: [self.scanlines.row(j, k.saturating_sub(1)), self.scanlines.row(j, (k + 1).min(nk - 1))],
         }
     }
 
@@ -119,8 +102,8 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// Samples at four voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
     /// its last voxel is repeated.
     #[inline(always)]
-    fn quad(&self, rows: &Around<'a, T>, [first, j, k]: [usize; 3]) -> [Vec4; QUAD] {
-        let codes = four(rows.here, first).to_array();
+    fn quad(&self, [first, j, k]: [usize; 3]) -> [Vec4; QUAD] {
+        let codes = four(self.scanlines.row(j, k), first);
         let (mut factor, mut addend, mut density) = ([1.0; QUAD], [0.0; QUAD], [1.0; QUAD]);
         match self.light {
             VoxelLight::Off => {}
@@ -131,8 +114,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
                 }
             }
             VoxelLight::ByRay(light) => {
-                let gradients = self.gradients(rows, first).map(|along| along.to_array());
-                [factor, addend] = light.of_gradients(&gradients, [first, j, k]);
+                [factor, addend] = light.of_gradients(&self.gradients.block(j, k, first), [first, j, k]);
             }
         }
         if self.has_gradient_opacity() {
@@ -149,21 +131,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
 
     /// The code of the normal of voxel (i, j, k), from its neighbours: the one that is stored.
     pub fn normal(&self, [i, j, k]: [usize; 3]) -> u16 {
-        let [x, y, z] = self.gradients(&self.around(j, k), i);
-        encode_normal(x.x, y.x, z.x)
-    }
-
-    /// Gradients of four voxels in the frame of the volume's normals.
-    #[inline(always)]
-    fn gradients(&self, rows: &Around<'a, T>, first: usize) -> [Vec4; 3] {
-        let (before_i, after_i) = before_and_after(rows.here, first);
-        // In the volume's own order, so that sums round as they do there.
-        let mut along = [Vec4::ZERO; 3];
-        let [i, j, k] = self.permutation;
-        along[i] = after_i - before_i;
-        along[j] = four(rows.along_j[1], first) - four(rows.along_j[0], first);
-        along[k] = four(rows.along_k[1], first) - four(rows.along_k[0], first);
-        turn(along, self.frame.frame_from_differences, self.frame.diagonal)
+        normals(&self.gradients.block::<1>(j, k, i))[0]
     }
 
     /// Codes of scanline `j` of slice `k`.
@@ -198,16 +166,9 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// The gradient opacity of voxel (i, j, k), 255 = 1; that of the scanline's last voxel past its end.
     pub fn gradient_factor(&self, [i, j, k]: [usize; 3]) -> u8 {
         let Some(transfer) = self.gradient_opacity else { return u8::MAX };
-        let magnitude = magnitudes(&self.gradients.block(j, k, i.min(self.dims[0] - 1)))[0];
+        let magnitude = magnitudes(&self.gradients.block::<1>(j, k, i.min(self.dims[0] - 1)))[0];
         (transfer.gradient_factor(magnitude.into()) * 255.0).round() as u8
     }
-}
-
-/// A scanline and its neighbours before and after it; at the volume's border itself.
-struct Around<'a, T> {
-    here: &'a [T],
-    along_j: [&'a [T]; 2],
-    along_k: [&'a [T]; 2],
 }
 
 /// Voxels of whatever type as samples.
@@ -235,7 +196,7 @@ impl<T: Code + Debug> Quads for VoxelRows<'_, T> {
     }
 
     fn sample(&self, [i, j, k]: [usize; 3]) -> Vec4 {
-        self.quad(&self.around(j, k), [i, j, k])[0]
+        self.quad([i, j, k])[0]
     }
 
     fn fetch(&self, row: &mut Row, j: usize, k: usize, quads: RangeInclusive<usize>) {
@@ -259,37 +220,22 @@ impl<T: Code> Kernel for Fetch<'_, '_, T> {
     fn run(self) {
         let Self { voxels, row, j, k, quads } = self;
         voxels.prefetch(j, k, quads.start() * QUAD..(quads.end() + 1) * QUAD);
-        let rows = voxels.around(j, k);
         for quad in quads {
             if !std::mem::replace(&mut row.fetched[quad], true) {
-                row.set(quad, &voxels.quad(&rows, [quad * QUAD, j, k]), voxels.dims[0]);
+                row.set(quad, &voxels.quad([quad * QUAD, j, k]), voxels.dims[0]);
             }
         }
     }
 }
 
-/// Differences of codes -> components of the gradient in the frame.
-#[inline(always)]
-fn turn([x, y, z]: [Vec4; 3], frame_from_differences: DMat3, diagonal: bool) -> [Vec4; 3] {
-    let m = frame_from_differences.as_mat3();
-    if diagonal {
-        return [x * m.x_axis.x, y * m.y_axis.y, z * m.z_axis.z];
-    }
-    [
-        x * m.x_axis.x + y * m.y_axis.x + z * m.z_axis.x,
-        x * m.x_axis.y + y * m.y_axis.y + z * m.z_axis.y,
-        x * m.x_axis.z + y * m.y_axis.z + z * m.z_axis.z,
-    ]
-}
-
 /// Four codes from `first` on, the last one repeated.
 #[inline(always)]
-fn four<T: Code>(row: &[T], first: usize) -> Vec4 {
+fn four<T: Code>(row: &[T], first: usize) -> [f32; QUAD] {
     let [a, b, c, d] = match row.get(first..).and_then(<[T]>::first_chunk) {
         Some(four) => *four,
         None => at_the_end(row, first),
     };
-    Vec4::new(a.as_f32(), b.as_f32(), c.as_f32(), d.as_f32())
+    [a.as_f32(), b.as_f32(), c.as_f32(), d.as_f32()]
 }
 
 /// The same where fewer than four are left. On its own, so that the usual four are loaded as one.
@@ -297,16 +243,6 @@ fn four<T: Code>(row: &[T], first: usize) -> Vec4 {
 #[inline(never)]
 fn at_the_end<T: Code>(row: &[T], first: usize) -> [T; QUAD] {
     [0, 1, 2, 3].map(|n| row[(first + n).min(row.len() - 1)])
-}
-
-/// The codes before and after each of four, indices clamped at the scanline's ends.
-#[inline(always)]
-fn before_and_after<T: Code>(row: &[T], first: usize) -> (Vec4, Vec4) {
-    if first > 0 {
-        return (four(row, first - 1), four(row, first + 1));
-    }
-    let [a, b, c, _] = four(row, 0).to_array();
-    (Vec4::new(a, a, b, c), four(row, 1))
 }
 
 /// Where a slice of samples lies: on a slice of voxels or between two.

@@ -151,10 +151,11 @@ struct State {
     front: Lanes,
     /// The layer that `front` is in front of.
     reached: usize,
-    /// The next layer in which something may show, `end` where there is none.
-    next: usize,
+    /// The next layer in which something may show, if there is one.
+    next: Option<usize>,
+    /// Where layers end.
     end: usize,
-    /// The cells of that layer that the packet touches.
+    /// The cells of the next layer that the packet touches.
     cells: Cells,
 }
 
@@ -224,13 +225,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composit
         for (packets, out) in tile.chunks(rows.max(1)).zip(out.chunks_mut(rows.max(1))) {
             self.tile(packets, buffers);
             for (state, out) in buffers.states.iter().zip(out) {
-                for lane in 0..LANES {
-                    *out = {
-                        let mut pixels = *out;
-                        pixels[lane] = Vec4::from_array([0, 1, 2, 3].map(|channel| state.pixels[channel][lane]));
-                        pixels
-                    };
-                }
+                *out = patch::columns(&state.pixels);
             }
         }
     }
@@ -271,7 +266,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             since: [f32::INFINITY; LANES],
             front: [0.0; LANES],
             reached: usize::MAX,
-            next: 0,
+            next: None,
             end,
             cells: Cells { first: [0; 2], last: [0; 2] },
         };
@@ -282,9 +277,9 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
     /// Finds the next layer from `layer` on.
     #[inline(always)]
     fn go_on(&self, packet: &Packet, state: &mut State, layer: usize) {
-        state.next = self.walk.skip.next_layer(packet, layer, state.end);
-        let span = [state.next as f32, (state.next + 1) as f32];
-        state.cells = Cells::touched(packet, span, self.walk.sampler.dims());
+        let next = self.walk.skip.next_layer(packet, layer, state.end);
+        state.next = if next < state.end { Some(next) } else { None };
+        state.cells = Cells::touched(packet, [next as f32, (next + 1) as f32], self.walk.sampler.dims());
     }
 
     /// Takes the packets of a tile through the volume.
@@ -303,22 +298,16 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         let step = 1.0 / *steps as f32;
         loop {
             // The next layer of any packet, and all cells of it that are looked at.
-            let mut layer = usize::MAX;
+            let mut ahead: Option<(usize, Cells)> = None;
             for state in states.iter() {
-                if state.next < state.end {
-                    layer = layer.min(state.next);
-                }
+                let Some(next) = state.next else { continue };
+                ahead = match ahead {
+                    Some((layer, cells)) if layer == next => Some((layer, cells.with(state.cells))),
+                    Some((layer, cells)) if layer < next => Some((layer, cells)),
+                    _ => Some((next, state.cells)),
+                };
             }
-            if layer == usize::MAX {
-                return;
-            }
-            let mut cells: Option<Cells> = None;
-            for state in states.iter() {
-                if state.next == layer && state.next < state.end {
-                    cells = Some(cells.map_or(state.cells, |cells| cells.with(state.cells)));
-                }
-            }
-            let Some(cells) = cells else { return };
+            let Some((layer, cells)) = ahead else { return };
             patch.enter(&scanlines[axis], dims, cells, layer, reversed);
             for n in 1..=*steps {
                 let back = if n == *steps {
@@ -331,35 +320,29 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                 let to = layer as f32 + n as f32 * step;
                 let fraction = (n as f32 - 0.5) * step;
                 for (packet, state) in packets.iter().zip(states.iter_mut()) {
-                    if state.next != layer || state.next >= state.end {
+                    if state.next != Some(layer) {
                         continue;
                     }
                     if n == 1 && state.reached != layer {
                         let places = patch.places(packet, &state.cells, layer as f32);
-                        state.front = self.coordinates(patch.scalars(Slice::Near, &places));
+                        state.front = self.table.coordinates(patch.scalars(Slice::Near, &places));
                     }
                     let places = patch.places(packet, &state.cells, to);
-                    let back = self.coordinates(patch.scalars(back, &places));
+                    let back = self.table.coordinates(patch.scalars(back, &places));
                     self.slabs(packet, state, patch, [from, to], fraction, &back);
                     state.front = back;
                 }
             }
             for (packet, state) in packets.iter().zip(states.iter_mut()) {
-                if state.next == layer && state.next < state.end {
+                if state.next == Some(layer) {
                     state.reached = layer + 1;
+                    state.next = None;
                     if state.is_open() {
                         self.go_on(packet, state, layer + 1);
-                    } else {
-                        state.next = state.end;
                     }
                 }
             }
         }
-    }
-
-    #[inline(always)]
-    fn coordinates(&self, codes: Lanes) -> Lanes {
-        self.table.coordinates(codes)
     }
 
     /// The slabs of all lanes between two slice positions of a layer, with their middles a `fraction` of

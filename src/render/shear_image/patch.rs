@@ -285,7 +285,7 @@ fn convert<T: Code>(codes: &[T], out: &mut [f32]) {
 
 /// By component -> by lane.
 #[inline(always)]
-fn columns(rows: &[Lanes; 4]) -> [Vec4; LANES] {
+pub fn columns(rows: &[Lanes; 4]) -> [Vec4; LANES] {
     let mut columns = [Vec4::ZERO; LANES];
     for half in 0..2 {
         let four = |row: &Lanes| Vec4::new(row[4 * half], row[4 * half + 1], row[4 * half + 2], row[4 * half + 3]);
