@@ -15,7 +15,7 @@
 //! Runs never cross a multiple of 64 voxels, so that a run is a mask in one machine word; the
 //! kernel intersects runs with the pixels that are not opaque yet by bit operations.
 //!
-//! How the encodings are made: [`encode`].
+//! How the encodings are made: `rle/encode.rs`.
 
 mod encode;
 
