@@ -5,15 +5,14 @@ use std::hint::black_box;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use glam::Vec4;
-use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, SlabTables, Slabs};
+use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, SlabTables, Slabs};
 use shearwarp::classify::summed_area::SummedAreaTable;
 use shearwarp::classify::{
-    Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction, presets,
+    CellRuns, Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction,
+    presets,
 };
 use shearwarp::encode::{Format, encode};
 use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Quality, Scene, Settings, View, render};
-use shearwarp::volume::gradient::quantized_normals;
-use shearwarp::volume::octree::MinMaxOctree;
 use shearwarp::volume::{PreparedVolume, phantom};
 
 fn stages(criterion: &mut Criterion) {
@@ -25,14 +24,25 @@ fn stages(criterion: &mut Criterion) {
     let occupied = prepared.octree().occupied_leaves(|range| summed_area.is_transparent(range));
 
     criterion.bench_function("phantom", |b| b.iter(phantom::head));
-    criterion.bench_function("gradients", |b| b.iter(|| quantized_normals(volume)));
-    criterion.bench_function("octree", |b| b.iter(|| MinMaxOctree::build(volume)));
+    criterion.bench_function("scanlines and octree", |b| {
+        b.iter_batched(phantom::head, PreparedVolume::build, BatchSize::PerIteration);
+    });
+    criterion.bench_function("gradients", |b| {
+        b.iter_batched_ref(
+            || PreparedVolume::build(phantom::head()),
+            |p| p.gradient_octree().bytes(),
+            BatchSize::PerIteration,
+        );
+    });
     criterion.bench_function("summed_area_table", |b| {
         b.iter(|| SummedAreaTable::new(&tables, &transfer, prepared.octree()));
     });
     criterion.bench_function("run_lengths", |b| {
         b.iter(|| RunLengthVolume::encode(&prepared, &tables, &transfer, &occupied));
     });
+    let slabs = Classification::build(&prepared, &transfer, Purpose::Slabs { entries: 256 });
+    let visible = slabs.slabs().expect("it is of slabs").visible_codes();
+    criterion.bench_function("cell_runs", |b| b.iter(|| CellRuns::encode(&prepared, visible, slabs.occupied())));
 
     let classification = Classification::build(&prepared, &transfer, Purpose::Voxels { min_opacity: 0.002 });
     let encodings = Encodings::build(&prepared, &transfer, &classification);
@@ -68,36 +78,48 @@ fn preintegration(criterion: &mut Criterion) {
             opacity_distance: None,
             gradient_opacity: vec![],
         };
-        criterion.bench_function(&format!("preintegration_table/{bits} bits, any length"), |b| {
-            b.iter(|| SlabTables::new(&volume, &transfer, 256));
+        let fresh = || SlabTables::new(&volume, &transfer, 256);
+        let name = |what: &str| format!("{what}, {bits} bits");
+        criterion.bench_function(&name("preintegration_table/for all lengths"), |b| b.iter(fresh));
+        criterion.bench_function(&name("preintegration_table/2D"), |b| {
+            b.iter_batched_ref(fresh, |tables| tables.table(Form::Opacity, 1.0), BatchSize::LargeInput);
         });
-        criterion.bench_function(&format!("preintegration_table/{bits} bits, a length"), |b| {
-            b.iter_batched_ref(
-                || SlabTables::new(&volume, &transfer, 256),
-                |tables| tables.table(Form::Opacity, 1.0),
-                BatchSize::LargeInput,
-            );
+        criterion.bench_function(&name("preintegration_table/1D"), |b| {
+            b.iter_batched_ref(fresh, |tables| tables.running_sums(Form::Opacity, 1.0), BatchSize::LargeInput);
         });
-        let table = SlabTables::new(&volume, &transfer, 256).table(Form::Opacity, 1.0);
-        // Scalars as a volume has them: most slabs are nearly of one scalar.
-        let codes: Vec<f32> = (0..4096)
-            .map(|n| {
-                let t = n as f32 * 0.01;
-                (0.5 + 0.4 * (t.sin() + 0.1 * (37.0 * t).sin())) * last as f32
-            })
-            .collect();
-        fn read(table: impl Slabs, codes: &[f32]) -> Vec4 {
-            codes
-                .windows(2)
-                .fold(Vec4::ZERO, |sum, ends| sum + table.slab(table.coordinate(ends[0]), table.coordinate(ends[1])))
-        }
-        criterion.bench_function(&format!("slab/{bits} bits, nearest, 4096"), |b| {
-            b.iter(|| read(Nearest(&table), black_box(&codes)))
-        });
-        criterion.bench_function(&format!("slab/{bits} bits, bilinear, 4096"), |b| {
-            b.iter(|| read(Bilinear(&table), black_box(&codes)))
-        });
+
+        // A ray's scalars: a slow wave and a fast one.
+        let code = |n: usize| (0.5 + 0.4 * (n as f64 * 0.01).sin() + 0.05 * (n as f64 * 0.37).sin()) * last;
+        let codes: Vec<f32> = (0..4096).map(|n| code(n) as f32).collect();
+        let (table, sums) = (fresh().table(Form::Opacity, 1.0), fresh().running_sums(Form::Opacity, 1.0));
+        criterion.bench_function(&name("slab/coordinates"), |b| b.iter(|| coordinates(Bilinear(&table), &codes)));
+        criterion.bench_function(&name("slab/2D nearest"), |b| b.iter(|| slabs(Nearest(&table), &codes)));
+        criterion.bench_function(&name("slab/2D bilinear"), |b| b.iter(|| slabs(Bilinear(&table), &codes)));
+        criterion.bench_function(&name("slab/1D"), |b| b.iter(|| slabs(OneDimensional(&sums), &codes)));
     }
+}
+
+/// Positions of all codes, eight at a time; summed up.
+fn coordinates(table: impl Slabs, codes: &[f32]) -> [f32; 8] {
+    let mut sums = [0.0; 8];
+    for codes in black_box(codes).as_chunks::<8>().0 {
+        for (sum, position) in sums.iter_mut().zip(table.coordinates(*codes)) {
+            *sum += position;
+        }
+    }
+    sums
+}
+
+/// The slabs between each code and the next, summed up.
+fn slabs(table: impl Slabs, codes: &[f32]) -> Vec4 {
+    let mut front = table.coordinate(codes[0]);
+    let mut sum = Vec4::ZERO;
+    for &code in &black_box(codes)[1..] {
+        let back = table.coordinate(code);
+        sum += table.slab(front, back);
+        front = back;
+    }
+    sum
 }
 
 criterion_group!(benches, stages, preintegration);

@@ -8,8 +8,8 @@
 //! image_from_object = image_from_sheared (warp) * sheared_from_object (shear) * P (permutation)
 //! ```
 //!
-//! 1. [`volume`]: bytes become a [`volume::Volume`], and once per volume its gradients, quantized
-//!    normals, min-max octree and histogram.
+//! 1. [`volume`]: bytes become a [`volume::Volume`], and once per volume its scanlines, min-max octree
+//!    and histogram.
 //! 2. [`classify`]: a volume and a [`classify::TransferFunction`] become run-length encoded
 //!    scanlines, independent of the view.
 //! 3. [`render`]: the encoded scanlines and a [`render::View`] become an [`render::Image`]:
@@ -43,4 +43,5 @@ pub mod raycast;
 pub mod render;
 #[cfg(feature = "service")]
 pub mod service;
+mod simd;
 pub mod volume;

@@ -69,7 +69,8 @@ struct Rays<'a> {
 
 /// What of a ray lies inside the volume, in equal steps.
 #[derive(Clone, Copy, Debug)]
-struct Stretch {
+struct Stretch<'a> {
+    cancel: &'a Cancel,
     /// Index coordinates of the ray's origin.
     start: DVec3,
     /// Indices per mm.
@@ -81,7 +82,12 @@ struct Stretch {
     length: f64,
 }
 
-impl Stretch {
+impl Stretch<'_> {
+    /// The steps, counted from 0; fewer if the frame is cancelled meanwhile, for a ray may be long.
+    fn walk(&self) -> impl Iterator<Item = u64> {
+        (0..self.steps).take_while(|step| step % 4096 != 4095 || !self.cancel.is_cancelled())
+    }
+
     /// The distance from the ray's origin after so many steps, mm.
     fn distance(&self, steps: f64) -> f64 {
         self.enter + steps * self.length
@@ -109,12 +115,11 @@ impl<'a> Rays<'a> {
         let mut image = vec![Vec4::ZERO; width as usize * height as usize];
         image.par_chunks_mut(width as usize).enumerate().try_for_each(|(row, pixels)| {
             for (column, out) in pixels.iter_mut().enumerate() {
-                // A row of converged rays takes long enough to be worth leaving in its middle.
-                if column % 64 == 0 && cancel.is_cancelled() {
+                let ray = self.view.ray(DVec2::new(column as f64 + 0.5, row as f64 + 0.5));
+                *out = self.stretch(&ray, cancel).map_or(Vec4::ZERO, |stretch| pixel(&ray, &stretch));
+                if cancel.is_cancelled() {
                     return Err(RenderError::Cancelled);
                 }
-                let ray = self.view.ray(DVec2::new(column as f64 + 0.5, row as f64 + 0.5));
-                *out = self.stretch(&ray).map_or(Vec4::ZERO, |stretch| pixel(&ray, &stretch));
             }
             Ok(())
         })?;
@@ -122,7 +127,7 @@ impl<'a> Rays<'a> {
     }
 
     /// Where the ray is inside the volume and the view's clip planes.
-    fn stretch(&self, ray: &Ray) -> Option<Stretch> {
+    fn stretch<'c>(&self, ray: &Ray, cancel: &'c Cancel) -> Option<Stretch<'c>> {
         let start = self.index_from_world.transform_point3(ray.origin);
         let direction = self.index_from_world.transform_vector3(ray.direction);
         let mut enter = match self.view.projection() {
@@ -147,11 +152,10 @@ impl<'a> Rays<'a> {
         for HalfSpace { normal, offset } in self.view.clip() {
             cut(normal.dot(ray.origin) + offset, normal.dot(ray.direction));
         }
-        if enter >= leave {
-            return None;
-        }
-        // A length that is a whole number of steps but for rounding takes that number.
-        let steps = ((leave - enter) / self.step - 1e-6).ceil().max(1.0);
-        Some(Stretch { start, direction, enter, steps: steps as u64, length: (leave - enter) / steps })
+        (enter < leave).then(|| {
+            // A length that is a whole number of steps but for rounding takes that number.
+            let steps = ((leave - enter) / self.step - 1e-6).ceil().max(1.0);
+            Stretch { cancel, start, direction, enter, steps: steps as u64, length: (leave - enter) / steps }
+        })
     }
 }

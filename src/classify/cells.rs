@@ -12,12 +12,13 @@
 
 use rayon::prelude::*;
 
+use super::marks::{OccupiedWords, VisibleCodes, turn};
+pub use super::marks::{WORD, words};
+use crate::simd::{self, Kernel};
+use crate::volume::PreparedVolume;
 use crate::volume::gradient::Code;
 use crate::volume::octree::leaf_of;
-use crate::volume::{PreparedVolume, Scalars};
-
-/// Cells of a scanline that a word spans.
-pub const WORD: usize = 64;
+use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
 /// A bit for every cell: set where something may show.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,11 +29,6 @@ pub struct CellRuns {
     pub(super) along_x: Vec<u64>,
     /// Scanlines along y: row (x, z) at `(z * cells_x + x) * words(cells_y)`.
     pub(super) along_y: Vec<u64>,
-}
-
-/// Words that a scanline of so many cells takes.
-pub const fn words(cells: usize) -> usize {
-    cells.div_ceil(WORD)
 }
 
 /// The runs that one principal axis walks.
@@ -58,9 +54,9 @@ impl CellRuns {
     /// `occupied` has a flag for each leaf of the volume's octree: false only where no cell of the
     /// leaf is to be marked.
     pub fn encode(prepared: &PreparedVolume, visible: &[bool], occupied: &[bool]) -> Self {
-        match prepared.volume().scalars() {
-            Scalars::U8(codes) => encode(codes, prepared, visible, occupied),
-            Scalars::U16(codes) => encode(codes, prepared, visible, occupied),
+        match prepared.scanlines(2) {
+            AnyScanlines::U8(scanlines) => encode(scanlines, visible, occupied),
+            AnyScanlines::U16(scanlines) => encode(scanlines, visible, occupied),
         }
     }
 
@@ -92,37 +88,95 @@ impl CellRuns {
     }
 }
 
-fn encode<T: Code>(codes: &[T], prepared: &PreparedVolume, visible: &[bool], occupied: &[bool]) -> CellRuns {
-    let [nx, ny, _] = prepared.volume().dims();
-    let dims @ [cx, cy, cz] = prepared.volume().dims().map(|n| n - 1);
-    let [lx, ly, _] = prepared.octree().leaf_dims();
-    // The first visible code at or after each code: a range holds one if that is within it.
-    let mut next = vec![u32::MAX; visible.len()];
-    let mut first = u32::MAX;
-    for (code, &visible) in visible.iter().enumerate().rev() {
-        first = if visible { code as u32 } else { first };
-        next[code] = first;
-    }
+fn encode<T: Code>(scanlines: Scanlines<'_, T>, visible: &[bool], occupied: &[bool]) -> CellRuns {
+    let dims @ [cx, cy, cz] = scanlines.dims().map(|n| n - 1);
+    let visible = VisibleCodes::new(visible.iter().copied());
     let mut along_x = vec![0; cz * cy * words(cx)];
     let mut along_y = vec![0; cz * cx * words(cy)];
     let planes = along_x.par_chunks_mut(cy * words(cx)).zip(along_y.par_chunks_mut(cx * words(cy)));
-    planes.enumerate().for_each(|(z, (plane_x, plane_y))| {
-        for y in 0..cy {
-            let leaves = &occupied[(leaf_of(z, cz + 1) * ly + leaf_of(y, cy + 1)) * lx..][..lx];
-            for x in (0..cx).filter(|&x| leaves[leaf_of(x, cx + 1)]) {
-                let at = (z * ny + y) * nx + x;
-                let corners = [0, nx, nx * ny, nx * ny + nx].map(|row| [codes[at + row], codes[at + row + 1]]);
-                let (mut low, mut high) = (corners[0][0], corners[0][0]);
-                for corner in corners.into_iter().flatten() {
-                    (low, high) = (low.min(corner), high.max(corner));
-                }
-                let (low, high): (u16, u16) = (low.into(), high.into());
-                if next[usize::from(low)] <= u32::from(high) {
-                    plane_x[y * words(cx) + x / WORD] |= 1 << (x % WORD);
-                    plane_y[x * words(cy) + y / WORD] |= 1 << (y % WORD);
+    planes.enumerate().for_each(|(z, (rows, columns))| {
+        simd::dispatch(Plane { scanlines, visible: &visible, occupied, z, rows, columns });
+    });
+    CellRuns { dims, along_x, along_y }
+}
+
+/// The cells between slices `z` and `z + 1`, to be marked in both orders.
+struct Plane<'a, T> {
+    scanlines: Scanlines<'a, T>,
+    visible: &'a VisibleCodes<T>,
+    occupied: &'a [bool],
+    z: usize,
+    rows: &'a mut [u64],
+    columns: &'a mut [u64],
+}
+
+impl<T: Code> Kernel for Plane<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let dims @ [nx, ny, _] = self.scanlines.dims();
+        let mut occupied = OccupiedWords::new(self.occupied, dims, self.z);
+        for (y, marks) in self.rows.chunks_exact_mut(words(nx - 1)).enumerate() {
+            let (near, far) = (self.scanlines.row(y, self.z), self.scanlines.row(y, self.z + 1));
+            let rows = [near, far, self.scanlines.row(y + 1, self.z), self.scanlines.row(y + 1, self.z + 1)];
+            let occupied = occupied.of_row(leaf_of(y, ny));
+            for (word, (marks, occupied)) in marks.iter_mut().zip(occupied).enumerate() {
+                if *occupied {
+                    *marks = self.visible.mark_cells(rows, word * WORD);
                 }
             }
         }
-    });
-    CellRuns { dims, along_x, along_y }
+        turn(self.rows, [nx - 1, ny - 1], self.columns);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::{Scalars, phantom};
+
+    /// The flags of leaves that a transfer function with such visible codes leaves, and the runs.
+    fn encoded(prepared: &PreparedVolume, visible: &[bool]) -> CellRuns {
+        let occupied = prepared.octree().occupied_leaves(|range| {
+            let (low, high) = range.code;
+            !visible[usize::from(low)..=usize::from(high)].contains(&true)
+        });
+        CellRuns::encode(prepared, visible, &occupied)
+    }
+
+    #[test]
+    fn every_axis_has_the_cells_whose_corners_range_over_a_visible_code() {
+        for dims in [[2, 3, 2], [65, 66, 5], [66, 9, 70], [130, 64, 3]] {
+            // Lumps, so that there are empty leaves, and some noise.
+            let field = |i: usize, j: usize, k: usize| {
+                let [x, y, z] = [i, j, k].map(|at| at as f64 * 0.2);
+                (150.0 * (x.sin() * y.cos() * (z + 1.0).sin()).max(0.0)).floor() + ((i * 7 + j * 5 + k * 3) % 5) as f64
+            };
+            let prepared = PreparedVolume::build(phantom::from_fn(dims, [1.0; 3], field));
+            let Scalars::U16(codes) = prepared.volume().scalars() else { panic!("phantoms have 16 bits") };
+            let visible: Vec<bool> = (0..200).map(|code| matches!(code, 40..=44 | 100..)).collect();
+            let runs = encoded(&prepared, &visible);
+            for axis in 0..3 {
+                let AnyScanlines::U16(scanlines) = prepared.scanlines(axis) else { panic!("phantoms have 16 bits") };
+                let [ni, nj, nk] = scanlines.dims();
+                let strides = [1, dims[0], dims[0] * dims[1]];
+                let strides = scanlines.axes().map(|axis| strides[axis]);
+                for (j, k) in (0..nk - 1).flat_map(|k| (0..nj - 1).map(move |j| (j, k))) {
+                    let marks = runs.for_axis(axis).scanline(j, k);
+                    for i in 0..words(ni - 1) * WORD {
+                        let corners = || {
+                            (0..8).map(|corner| {
+                                let at = [i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2)];
+                                usize::from(codes[at[0] * strides[0] + at[1] * strides[1] + at[2] * strides[2]])
+                            })
+                        };
+                        let shows =
+                            i < ni - 1 && visible[corners().min().unwrap()..=corners().max().unwrap()].contains(&true);
+                        assert_eq!(marks[i / WORD] >> (i % WORD) & 1 == 1, shows, "{i} {j} {k} of {dims:?}, {axis}");
+                    }
+                }
+            }
+        }
+    }
 }

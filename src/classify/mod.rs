@@ -7,6 +7,7 @@
 //! of them, so a frame is never kept waiting for them.
 
 pub mod cells;
+pub mod marks;
 pub mod preintegration;
 pub mod presets;
 pub mod rle;
@@ -23,7 +24,7 @@ use crate::volume::octree::LEAF;
 pub use cells::CellRuns;
 use preintegration::SlabTables;
 pub use rle::RunLengthVolume;
-use summed_area::SummedAreaTable;
+use summed_area::{SummedAreaTable, octree_for};
 pub use tables::CodeTables;
 pub use transfer::{Color, ControlPoint, GradientPoint, InvalidField, TransferFunction};
 
@@ -52,6 +53,7 @@ pub struct Classification {
 impl Classification {
     /// Classifies on the current rayon pool.
     pub fn build(prepared: &PreparedVolume, transfer: &TransferFunction, purpose: Purpose) -> Self {
+        let octree = octree_for(prepared, transfer);
         let start = Instant::now();
         let min_opacity = match purpose {
             Purpose::Voxels { min_opacity } => min_opacity,
@@ -63,10 +65,10 @@ impl Classification {
             Purpose::Slabs { entries } => Some(SlabTables::new(prepared.volume(), transfer, entries)),
         };
         let summed_area = match &slabs {
-            None => SummedAreaTable::new(&tables, transfer, prepared.octree()),
-            Some(slabs) => SummedAreaTable::of_slabs(slabs.visible_codes(), transfer, prepared.octree()),
+            None => SummedAreaTable::new(&tables, transfer, octree),
+            Some(slabs) => SummedAreaTable::of_slabs(slabs.visible_codes(), transfer, octree),
         };
-        let occupied = prepared.octree().occupied_leaves(|range| summed_area.is_transparent(range));
+        let occupied = octree.occupied_leaves(|range| summed_area.is_transparent(range));
         Self { purpose, tables, slabs, occupied, summed_area_table: start.elapsed() }
     }
 

@@ -15,20 +15,14 @@
 //! Runs never cross a multiple of 64 voxels, so that a run is a mask in one machine word; the
 //! kernel intersects runs with the pixels that are not opaque yet by bit operations.
 //!
-//! Encoding touches voxels only in leaves that octree and summed-area table cannot rule out. It
-//! marks the non-transparent voxels of a plane as bits, turns the bits for the second order, and
-//! copies the marked voxels; planes are independent and spread over the pool.
+//! How the encodings are made: `rle/encode.rs`.
 
-use rayon::prelude::*;
+mod encode;
 
+pub use super::marks::WORD;
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
-use crate::volume::gradient::{Code, GradientFrame, gradient_at};
-use crate::volume::octree::leaf_of;
-use crate::volume::{PreparedVolume, Scalars};
-
-/// Voxels of a scanline that a run's mask spans.
-pub const WORD: usize = 64;
+use crate::volume::PreparedVolume;
 
 /// A run of non-transparent voxels within one word of a scanline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -85,6 +79,22 @@ pub(super) struct Plane {
 }
 
 impl Plane {
+    /// Rows of so many words of marks. The voxels, as many as marks, are given afterwards.
+    pub(super) fn of_marks(marks: &[u64], words: usize) -> Self {
+        let mut plane = Self { rows: Vec::with_capacity(marks.len() / words + 1), ..Self::default() };
+        let mut voxels = 0;
+        plane.rows.push([0, 0]);
+        for row in marks.chunks_exact(words) {
+            for (word, &bits) in row.iter().enumerate() {
+                plane.runs.extend(runs(word, bits));
+                voxels += bits.count_ones();
+            }
+            plane.rows.push([plane.runs.len() as u32, voxels]);
+        }
+        plane.runs.shrink_to_fit();
+        plane
+    }
+
     #[inline(always)]
     fn scanline(&self, row: usize) -> Scanline<'_> {
         let ([run, voxel], [run_end, voxel_end]) = (self.rows[row], self.rows[row + 1]);
@@ -118,6 +128,15 @@ pub struct AxisEncoding<'a> {
 }
 
 impl<'a> AxisEncoding<'a> {
+    /// What [`Self::scanline`] looks up first.
+    #[inline(always)]
+    pub fn place(&self, j: usize, k: usize) -> &'a [[u32; 2]] {
+        let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
+        // Before the first one and after the last there is none.
+        let rows = self.planes.get(plane).and_then(|plane| plane.rows.get(row..)).unwrap_or_default();
+        &rows[..rows.len().min(1)]
+    }
+
     /// Scanline `j` of slice `k`.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {
@@ -135,10 +154,7 @@ impl RunLengthVolume {
         transfer: &TransferFunction,
         occupied: &[bool],
     ) -> Self {
-        match prepared.volume().scalars() {
-            Scalars::U8(codes) => Encoder::new(codes, prepared, tables, transfer, occupied).encode(),
-            Scalars::U16(codes) => Encoder::new(codes, prepared, tables, transfer, occupied).encode(),
-        }
+        encode::encode(prepared, tables, transfer, occupied)
     }
 
     /// What encoding so many voxels, those of the occupied leaves, can take in memory at most.
@@ -174,104 +190,6 @@ impl RunLengthVolume {
     }
 }
 
-/// What all planes of an encoding share.
-struct Encoder<'a, T> {
-    codes: &'a [T],
-    prepared: &'a PreparedVolume,
-    tables: &'a CodeTables,
-    transfer: &'a TransferFunction,
-    frame: GradientFrame,
-    occupied: &'a [bool],
-    dims: [usize; 3],
-}
-
-impl<'a, T: Code> Encoder<'a, T> {
-    fn new(
-        codes: &'a [T],
-        prepared: &'a PreparedVolume,
-        tables: &'a CodeTables,
-        transfer: &'a TransferFunction,
-        occupied: &'a [bool],
-    ) -> Self {
-        let volume = prepared.volume();
-        let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-        Self { codes, prepared, tables, transfer, frame, occupied, dims: volume.dims() }
-    }
-
-    fn encode(&self) -> RunLengthVolume {
-        let (along_x, along_y) = (0..self.dims[2]).into_par_iter().map(|z| self.plane(z)).unzip();
-        RunLengthVolume { dims: self.dims, along_x, along_y }
-    }
-
-    /// Both orders of the plane at `z`.
-    fn plane(&self, z: usize) -> (Plane, Plane) {
-        let [nx, ny, _] = self.dims;
-        let marks_x = self.marks(z);
-        let marks_y = marks_x.turned();
-        let first = z * nx * ny;
-        (self.rows(&marks_x, z, |row, i| first + row * nx + i), self.rows(&marks_y, z, |row, i| first + i * nx + row))
-    }
-
-    /// Marks the non-transparent voxels of a plane, rows along x.
-    fn marks(&self, z: usize) -> Marks {
-        let [nx, ny, nz] = self.dims;
-        let [bx, by, _] = self.prepared.octree().leaf_dims();
-        let mut marks = Marks::new(nx, ny);
-        let words = marks.words;
-        for (y, row) in marks.bits.chunks_exact_mut(words).enumerate() {
-            let leaves = &self.occupied[(leaf_of(z, nz) * by + leaf_of(y, ny)) * bx..][..bx];
-            let at = (z * ny + y) * nx;
-            for (leaf, _) in leaves.iter().enumerate().filter(|(_, occupied)| **occupied) {
-                let first = leaf * crate::volume::octree::LEAF;
-                let end = if leaf + 1 == bx { nx } else { first + crate::volume::octree::LEAF };
-                for x in first..end {
-                    let visible = self.is_visible(at + x, [x, y, z]);
-                    row[x / WORD] |= u64::from(visible) << (x % WORD);
-                }
-            }
-        }
-        marks
-    }
-
-    #[inline(always)]
-    fn is_visible(&self, index: usize, at: [usize; 3]) -> bool {
-        let code: u16 = self.codes[index].into();
-        let tau = self.tables.extinction[usize::from(code)];
-        tau > 0.0 && (self.transfer.gradient_opacity.is_empty() || self.tables.is_visible(tau, self.factor(at)))
-    }
-
-    /// The gradient opacity of a voxel, 255 = 1.
-    fn factor(&self, at: [usize; 3]) -> u8 {
-        let magnitude = gradient_at(self.prepared.volume(), &self.frame, at).length();
-        (self.transfer.gradient_factor(magnitude) * 255.0).round() as u8
-    }
-
-    /// Encodes marked rows; `index` gives the voxel of (row, position in row).
-    fn rows(&self, marks: &Marks, z: usize, index: impl Fn(usize, usize) -> usize) -> Plane {
-        let [nx, ny, _] = self.dims;
-        let normals = self.prepared.normals();
-        let mut plane = Plane::default();
-        let with_factors = !self.transfer.gradient_opacity.is_empty();
-        plane.rows.push([0, 0]);
-        for (row, words) in marks.bits.chunks_exact(marks.words).enumerate() {
-            for run in words.iter().enumerate().flat_map(|(word, &bits)| runs(word, bits)) {
-                plane.runs.push(run);
-                for i in usize::from(run.start)..usize::from(run.start) + usize::from(run.length) {
-                    let at = index(row, i);
-                    plane.voxels.push(Voxel { code: self.codes[at].into(), normal: normals[at] });
-                    if with_factors {
-                        plane.factors.push(self.factor([at % nx, at / nx % ny, z]));
-                    }
-                }
-            }
-            plane.rows.push([plane.runs.len() as u32, plane.voxels.len() as u32]);
-        }
-        plane.runs.shrink_to_fit();
-        plane.voxels.shrink_to_fit();
-        plane
-    }
-}
-
 /// The runs of set bits in a word.
 fn runs(word: usize, mut bits: u64) -> impl Iterator<Item = Run> {
     std::iter::from_fn(move || {
@@ -286,76 +204,9 @@ fn runs(word: usize, mut bits: u64) -> impl Iterator<Item = Run> {
     })
 }
 
-/// A plane's non-transparent voxels, a bit each.
-struct Marks {
-    /// Voxels in a row, and rows.
-    dims: [usize; 2],
-    words: usize,
-    bits: Vec<u64>,
-}
-
-impl Marks {
-    fn new(length: usize, rows: usize) -> Self {
-        let words = length.div_ceil(WORD);
-        Self { dims: [length, rows], words, bits: vec![0; words * rows] }
-    }
-
-    /// Rows and columns swapped, by blocks of 64 x 64 bits.
-    fn turned(&self) -> Self {
-        let [length, rows] = self.dims;
-        let mut turned = Self::new(rows, length);
-        for block_row in 0..rows.div_ceil(WORD) {
-            for word in 0..self.words {
-                let source = |i: usize| self.bits.get((block_row * WORD + i) * self.words + word).copied();
-                let mut block: [u64; WORD] = std::array::from_fn(|i| source(i).unwrap_or(0));
-                if block.iter().all(|&bits| bits == 0) {
-                    continue;
-                }
-                transpose(&mut block);
-                for (i, bits) in block.into_iter().enumerate().take(length - word * WORD) {
-                    turned.bits[(word * WORD + i) * turned.words + block_row] = bits;
-                }
-            }
-        }
-        turned
-    }
-}
-
-/// Transposes 64 x 64 bits: bit j of word i becomes bit i of word j (Hacker's Delight 7-3).
-fn transpose(block: &mut [u64; WORD]) {
-    let (mut width, mut mask) = (WORD / 2, u64::MAX >> (WORD / 2));
-    while width > 0 {
-        let mut i = 0;
-        while i < WORD {
-            let swap = (block[i] >> width ^ block[i + width]) & mask;
-            block[i + width] ^= swap;
-            block[i] ^= swap << width;
-            i = (i + width + 1) & !width;
-        }
-        width /= 2;
-        mask ^= mask << width;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn transposing_moves_every_bit_to_its_mirror() {
-        let mut state = 1u64;
-        let block: [u64; WORD] = std::array::from_fn(|_| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            state ^ state >> 29
-        });
-        let mut turned = block;
-        transpose(&mut turned);
-        for (i, row) in block.iter().enumerate() {
-            for (j, column) in turned.iter().enumerate() {
-                assert_eq!(row >> j & 1, column >> i & 1);
-            }
-        }
-    }
 
     #[test]
     fn runs_cover_exactly_the_set_bits() {

@@ -8,12 +8,18 @@
 
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
+use crate::volume::PreparedVolume;
 use crate::volume::octree::{MinMaxOctree, Range};
 
 /// Bins along the scalar axis at most: exact for 12-bit data.
 const SCALAR_BINS: usize = 4096;
 /// Bins along the gradient axis, where it matters.
 const GRADIENT_BINS: usize = 64;
+
+/// The octree with the ranges that the opacity of `transfer` depends on.
+pub fn octree_for<'a>(prepared: &'a PreparedVolume, transfer: &TransferFunction) -> &'a MinMaxOctree {
+    if transfer.gradient_opacity.is_empty() { prepared.octree() } else { prepared.gradient_octree() }
+}
 
 /// Counts of non-transparent bins, summed over both axes.
 #[derive(Clone, Debug)]
@@ -22,60 +28,66 @@ pub struct SummedAreaTable {
     sums: Vec<u32>,
     scalar_bins: usize,
     gradient_bins: usize,
-    /// A code's bin is `code >> shift`.
+    /// A code's bin is `(code - first) >> shift`.
+    first: u16,
     shift: u32,
     /// Gradient bins per scalar unit per mm.
     gradient_scale: f32,
 }
 
 impl SummedAreaTable {
-    /// Sums `tables` (and the gradient opacity of `transfer`) over the ranges that `octree` knows.
+    /// Sums `tables` (and the gradient opacity of `transfer`) over the ranges that `octree` knows: that of
+    /// [`octree_for`].
     pub fn new(tables: &CodeTables, transfer: &TransferFunction, octree: &MinMaxOctree) -> Self {
-        let drawn = |bin: &[f32], factor: u8| {
-            let densest = bin.iter().fold(0f32, |a, &b| a.max(b));
-            tables.is_visible(densest, factor)
-        };
-        Self::sum(&tables.extinction, transfer, octree, drawn)
+        let densest = |bin: &[f32]| bin.iter().fold(0f32, |a, &b| a.max(b));
+        Self::sum(&tables.extinction, transfer, octree, densest, |densest, factor| tables.is_visible(densest, factor))
     }
 
     /// Sums the codes at which slabs may show something. What is interpolated may have a smaller
     /// gradient than all that it was made of, so a leaf shows if any of its gradients, or zero, does.
     pub fn of_slabs(visible: &[bool], transfer: &TransferFunction, octree: &MinMaxOctree) -> Self {
-        Self::sum(visible, transfer, octree, |bin, factor| factor > 0 && bin.contains(&true))
+        let any = |bin: &[bool]| bin.contains(&true);
+        Self::sum(visible, transfer, octree, any, |any, factor| any && factor > 0)
     }
 
-    /// Counts the bins of which `drawn` says, of the codes' entries and a gradient opacity, that
-    /// something shows.
-    fn sum<E>(
+    /// Counts the bins of which `drawn` says, of what is left of the codes' entries and a gradient
+    /// opacity, that something shows.
+    fn sum<E, B: Copy>(
         by_code: &[E],
         transfer: &TransferFunction,
         octree: &MinMaxOctree,
-        drawn: impl Fn(&[E], u8) -> bool,
+        reduce: impl Fn(&[E]) -> B,
+        drawn: impl Fn(B, u8) -> bool,
     ) -> Self {
-        let codes = by_code.len();
+        let Range { code: (first, last), gradient: (_, steepest) } = octree.root();
+        let codes = usize::from(last - first) + 1;
         let shift = (0..16).find(|shift| (codes - 1) >> shift < SCALAR_BINS).unwrap_or(16);
         let scalar_bins = ((codes - 1) >> shift) + 1;
-        let steepest = octree.root().gradient.1.max(f32::MIN_POSITIVE);
         let gradient_bins = if transfer.gradient_opacity.is_empty() { 1 } else { GRADIENT_BINS };
-        let gradient_scale = gradient_bins as f32 / steepest;
-        let strongest: Vec<u8> = (0..gradient_bins)
-            .map(|bin| largest_factor(transfer, bin as f32 / gradient_scale, (bin + 1) as f32 / gradient_scale))
-            .collect();
+        // With one bin any scale will do; gradients may reach to infinity then.
+        let gradient_scale =
+            if gradient_bins > 1 { gradient_bins as f32 / steepest.max(f32::MIN_POSITIVE) } else { 0.0 };
+        let strongest = |bin: usize| match gradient_bins {
+            1 => u8::MAX,
+            _ => largest_factor(transfer, bin as f32 / gradient_scale, (bin + 1) as f32 / gradient_scale),
+        };
+        let bins: Vec<B> = by_code[usize::from(first)..].chunks(1 << shift).map(reduce).collect();
         let mut sums = vec![0; (scalar_bins + 1) * (gradient_bins + 1)];
         let width = scalar_bins + 1;
-        for (y, factor) in strongest.iter().enumerate() {
+        for y in 0..gradient_bins {
+            let factor = strongest(y);
             let mut along = 0;
-            for (x, bin) in by_code.chunks(1 << shift).enumerate() {
-                along += u32::from(drawn(bin, *factor));
+            for (x, bin) in bins.iter().enumerate() {
+                along += u32::from(drawn(*bin, factor));
                 sums[(y + 1) * width + x + 1] = sums[y * width + x + 1] + along;
             }
         }
-        Self { sums, scalar_bins, gradient_bins, shift, gradient_scale }
+        Self { sums, scalar_bins, gradient_bins, first, shift, gradient_scale }
     }
 
     /// True where no voxel in this range is drawn.
     pub fn is_transparent(&self, range: &Range) -> bool {
-        let bin = |code: u16| usize::from(code) >> self.shift;
+        let bin = |code: u16| usize::from(code - self.first) >> self.shift;
         let gradient_bin = |g: f32| ((g * self.gradient_scale) as usize).min(self.gradient_bins - 1);
         let (x0, x1) = (bin(range.code.0), (bin(range.code.1) + 1).min(self.scalar_bins));
         // One bin wider on both sides: what rounding puts over a bin's edge stays inside.

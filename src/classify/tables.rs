@@ -4,15 +4,20 @@
 //! Scalars are codes of at most 16 bits, so the tables are exact: one entry per code, no
 //! interpolation and no quantization.
 
+use rayon::prelude::*;
+
 use super::transfer::{TransferFunction, extinction};
 use crate::volume::Volume;
+
+/// Entries that one job computes.
+const CHUNK: usize = 2048;
 
 /// Extinction and colour per code, 0 up to the volume's largest.
 #[derive(Clone, Debug)]
 pub struct CodeTables {
     /// Extinction per mm; 0 where the opacity is at or below the threshold.
     pub extinction: Vec<f32>,
-    /// Red, green, blue, 0..=1.
+    /// Red, green, blue, 0..=1; black where nothing shows.
     pub color: Vec<[f32; 3]>,
     /// The extinction per mm at or below which a voxel counts as transparent.
     pub threshold: f32,
@@ -24,14 +29,26 @@ impl CodeTables {
     pub fn new(volume: &Volume, transfer: &TransferFunction, min_opacity: f64) -> Self {
         let length = transfer.reference_length(volume.smallest_spacing());
         let threshold = extinction(min_opacity, length) as f32;
-        let codes = 0..=volume.code_range().1;
-        let value = |code: u16| volume.value_of_code(f64::from(code));
-        let visible = |tau: f32| if tau > threshold { tau } else { 0.0 };
-        Self {
-            extinction: codes.clone().map(|c| visible(extinction(transfer.opacity(value(c)), length) as f32)).collect(),
-            color: codes.map(|c| transfer.color(value(c)).map(|channel| channel as f32)).collect(),
+        let (first, last) = volume.code_range();
+        let mut tables = Self {
+            extinction: vec![0.0; usize::from(last) + 1],
+            color: vec![[0.0; 3]; usize::from(last) + 1],
             threshold,
-        }
+        };
+        let first = usize::from(first);
+        let chunks = tables.extinction[first..].par_chunks_mut(CHUNK).zip(tables.color[first..].par_chunks_mut(CHUNK));
+        chunks.enumerate().for_each(|(chunk, (taus, colors))| {
+            for (at, (tau, color)) in taus.iter_mut().zip(colors).enumerate() {
+                let value = volume.value_of_code((first + chunk * CHUNK + at) as f64);
+                let opacity = transfer.opacity(value);
+                let exact = if opacity > 0.0 { extinction(opacity, length) as f32 } else { 0.0 };
+                if exact > threshold {
+                    *tau = exact;
+                    *color = transfer.color(value).map(|channel| channel as f32);
+                }
+            }
+        });
+        tables
     }
 
     /// True where a voxel of extinction `tau` (from [`Self::extinction`]) and gradient opacity

@@ -1,7 +1,8 @@
 //! `shearwarp bench`
 //!
 //! Every frame is rendered from its view on and encoded, nothing is kept from one to the next but
-//! the structures, and a turn that is not counted comes first, so that caches and clocks are warm.
+//! what a service keeps (structures, and the few newest pre-integration tables), and a turn that is
+//! not counted comes first, so that caches and clocks are warm.
 
 use std::fs;
 use std::path::PathBuf;
@@ -15,7 +16,7 @@ use shearwarp::render::factorization::Factorization;
 use shearwarp::render::intermediate::IntermediateImage;
 
 use super::Failure;
-use super::scene::{RequestArguments, Stage, VolumeArguments};
+use super::scene::{Classified, RequestArguments, Stage, VolumeArguments};
 
 /// Threads at most: beyond any machine, below what a typing error asks for.
 const MAX_THREADS: i64 = 1024;
@@ -109,7 +110,6 @@ fn measure(arguments: &Arguments) -> Result<Report, Failure> {
     let progress = ProgressBar::new(2 * u64::from(arguments.frames));
     let mut phases = Phases::default();
     for turn in 0..2 {
-        // Tables are made in the first turn and kept, as they are for a client that turns a volume.
         phases = Phases { preintegration_table: phases.preintegration_table, ..Phases::default() };
         for frame in 0..arguments.frames {
             phases.add(&stage, f64::from(frame) * arguments.step)?;
@@ -123,13 +123,13 @@ fn measure(arguments: &Arguments) -> Result<Report, Failure> {
     let (width, height) = stage.resolved.view.size();
     Ok(Report {
         volume,
-        dimensions: stage.prepared.volume().dims(),
+        dimensions: stage.volume.dims(),
         algorithm: settings.algorithm.name(),
         quality: settings.quality.name(),
         threads: rayon::current_num_threads(),
         frames: arguments.frames,
         image: [width, height],
-        nontransparent_share: stage.classified.as_ref().map(|c| c.encodings.nontransparent_share()),
+        nontransparent_share: stage.classified.as_ref().and_then(Classified::nontransparent_share),
         frame_ms: phases.summaries(),
         prepare_ms: prepare_ms(&stage, load, phases.preintegration_table),
         bytes: bytes(&stage, &phases),
@@ -139,7 +139,7 @@ fn measure(arguments: &Arguments) -> Result<Report, Failure> {
 /// Durations of every frame, by phase.
 #[derive(Default)]
 struct Phases {
-    /// The longest that a frame had to make one.
+    /// The longest that a frame had to make one, in both turns.
     preintegration_table: Duration,
     shade: Vec<Duration>,
     composite: Vec<Duration>,
@@ -209,18 +209,19 @@ impl Summary {
 }
 
 fn prepare_ms(stage: &Stage, load: Duration, preintegration_table: Duration) -> Named<f64> {
+    let ms = |(step, duration): (&'static str, Duration)| (step, duration.as_secs_f64() * 1e3);
     let prepared = stage.prepared.timings();
-    let once = [("load", load), ("gradients", prepared.gradients), ("octree", prepared.octree)];
-    let steps = stage
-        .classified
-        .as_ref()
-        .map(|c| [("summed_area_table", c.classification.summed_area_table()), ("run_lengths", c.run_lengths)]);
-    let table = (preintegration_table > Duration::ZERO).then_some(("preintegration_table", preintegration_table));
-    once.into_iter()
-        .chain(steps.into_iter().flatten())
-        .chain(table)
-        .map(|(step, d)| (step, d.as_secs_f64() * 1e3))
-        .collect()
+    let prepared = [("scanlines", prepared.scanlines), ("octree", prepared.octree), ("gradients", prepared.gradients)];
+    let mut steps = vec![ms(("load", load))];
+    steps.extend(prepared.map(ms));
+    if let Some(Classified { classification, encodings }) = &stage.classified {
+        steps.push(ms(("summed_area_table", classification.summed_area_table())));
+        steps.extend(encodings.as_ref().map(|(_, took)| ms(("run_lengths", *took))));
+    }
+    if !preintegration_table.is_zero() {
+        steps.push(ms(("preintegration_table", preintegration_table)));
+    }
+    steps
 }
 
 /// `images` are the intermediate images, where there are any, and the final one.

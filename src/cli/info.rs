@@ -5,12 +5,11 @@ use std::fmt::Write;
 
 use clap::Args;
 use serde::Serialize;
-use shearwarp::service::request::RenderRequest;
 use shearwarp::volume::Volume;
 use shearwarp::volume::histogram::Histogram;
 
 use super::Failure;
-use super::scene::{Stage, VolumeArguments, refused};
+use super::scene::{Classified, RequestArguments, Stage, VolumeArguments};
 
 /// Bins of the histogram in JSON; the picture in text takes fewer.
 const BINS: usize = 256;
@@ -25,6 +24,8 @@ pub struct Arguments {
     /// As JSON, with the names of the API
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    request: RequestArguments,
 }
 
 /// What is known about a volume; names and units as in the API.
@@ -43,9 +44,11 @@ struct Info {
     value_range: [f64; 2],
     import: Import,
     histogram: Bins,
-    /// Under the default transfer function.
-    nontransparent_share: f64,
-    /// Encodings and tables are those of the default transfer function.
+    /// Of the voxels, or of the cells that slabs go through, under the request; absent where it has no
+    /// encodings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    nontransparent_share: Option<f64>,
+    /// Of the level that the request shows, and of what it needs classified.
     bytes: BTreeMap<&'static str, u64>,
 }
 
@@ -67,21 +70,21 @@ struct Bins {
 
 /// Loads, builds, and says what came of it.
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let request = arguments.request.read()?;
     let loaded = arguments.volume.load()?;
     let (name, modality) = (loaded.name.clone(), loaded.modality.clone());
-    let request = RenderRequest::from_json(b"{}").map_err(refused)?;
     let stage = Stage::build(loaded, request)?;
     let info = Info::of(name, modality, &stage);
     if arguments.json {
         let json = serde_json::to_string_pretty(&info).map_err(|error| Failure::Other(error.to_string()))?;
         return super::print(&format!("{json}\n"));
     }
-    super::print(&info.text(stage.prepared.volume()))
+    super::print(&info.text(&stage.volume))
 }
 
 impl Info {
     fn of(name: String, modality: Option<String>, stage: &Stage) -> Self {
-        let volume = stage.prepared.volume();
+        let volume = &stage.volume;
         let placement = volume.placement();
         let report = volume.report();
         let (low, high) = volume.value_range();
@@ -103,7 +106,7 @@ impl Info {
                 volumes_left_out: report.volumes_left_out,
             },
             histogram: bins(volume, BINS),
-            nontransparent_share: classified.map_or(0.0, |c| c.encodings.nontransparent_share()),
+            nontransparent_share: classified.and_then(Classified::nontransparent_share),
             bytes: stage.prepared.bytes().into_iter().chain(classified.into_iter().flat_map(|c| c.bytes())).collect(),
         }
     }
@@ -134,7 +137,9 @@ impl Info {
         for (structure, bytes) in &self.bytes {
             line("memory", format!("{structure:<12} {:>10.1} MiB", *bytes as f64 / f64::from(1 << 20)));
         }
-        line("visible", format!("{:.2} % of the voxels by default", 100.0 * self.nontransparent_share));
+        if let Some(share) = self.nontransparent_share {
+            line("visible", format!("{:.2} % of the volume", 100.0 * share));
+        }
         text + &bars(&bins(volume, TEXT_BINS))
     }
 }

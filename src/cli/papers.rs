@@ -103,6 +103,8 @@ fn summary(timings: &[Timings]) -> [f64; 3] {
 fn lacroute(scans: &[Scan], plots: &Path) -> Result<String, Failure> {
     let algorithms = [
         ("parallel, run lengths", "classified", "parallel"),
+        ("parallel, fast classification", "fast-classification", "parallel"),
+        ("perspective, run lengths", "classified", "perspective"),
         ("parallel, pre-integrated", "preintegrated", "parallel"),
         ("perspective, pre-integrated", "preintegrated", "perspective"),
     ];
@@ -179,8 +181,8 @@ fn schulze(scans: &[Scan], _: &Path) -> Result<String, Failure> {
 /// Empty-space skipping, and how long a table takes after a change.
 fn kye(scans: &[Scan], _: &Path) -> Result<String, Failure> {
     let mut text = "Pre-integrated frames, 36 around the axis, with and without empty-space skipping; and the update of the slab table after a change \
-                    of the transfer function (256 entries along an axis).\n\n| scan | skipping | without | ratio | update |\n| --- | \
-                    --- | --- | --- | --- |\n"
+                    of the transfer function: the 2D table of 256 entries along an axis, and the 1D table.\n\n| scan | skipping | without | ratio | \
+                    update, 2D | update, 1D |\n| --- | --- | --- | --- | --- | --- |\n"
         .to_owned();
     for scan in scans {
         let mut stage = stage(&scan.volume, r#"{"algorithm": "preintegrated"}"#)?;
@@ -188,11 +190,14 @@ fn kye(scans: &[Scan], _: &Path) -> Result<String, Failure> {
         let [with, _, _] = summary(&turn(&stage, angles.clone())?);
         stage.resolved.settings.skipping = false;
         let [without, _, _] = summary(&turn(&stage, angles)?);
-        let start = Instant::now();
-        let tables = SlabTables::new(&scan.volume, &stage.resolved.transfer, Preintegration::ENTRIES);
-        drop(tables.table(Form::Opacity, 1.0));
-        let update = ms(start.elapsed());
-        writeln!(text, "| {} | {with:.2} | {without:.2} | {:.1} | {update:.2} |", scan.name, without / with)
+        let update = |make: fn(&SlabTables)| {
+            let start = Instant::now();
+            make(&SlabTables::new(&scan.volume, &stage.resolved.transfer, Preintegration::ENTRIES));
+            ms(start.elapsed())
+        };
+        let two = update(|tables| drop(tables.table(Form::Opacity, 1.0)));
+        let one = update(|tables| drop(tables.running_sums(Form::Opacity, 1.0)));
+        writeln!(text, "| {} | {with:.2} | {without:.2} | {:.1} | {two:.2} | {one:.2} |", scan.name, without / with)
             .expect("strings take all text");
     }
     Ok(text)

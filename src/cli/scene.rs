@@ -139,7 +139,8 @@ impl clap::FromArgMatches for RequestArguments {
 #[derive(Debug)]
 pub struct Stage {
     /// What the camera looks at, whatever level is shown.
-    level_0: Volume,
+    pub volume: Volume,
+    /// The level that is shown.
     pub prepared: PreparedVolume,
     /// What the algorithm walks, where it is not the ray caster.
     pub classified: Option<Classified>,
@@ -148,45 +149,54 @@ pub struct Stage {
     pub resolved: ResolvedRequest,
 }
 
-/// A classification, its encodings, and how long these took.
+/// A classification, and the encodings that a service would have by the second frame.
 #[derive(Debug)]
 pub struct Classified {
     pub classification: Classification,
-    pub encodings: Encodings,
-    pub run_lengths: Duration,
+    /// With how long they took; `None` for what goes without.
+    pub encodings: Option<(Encodings, Duration)>,
 }
 
 impl Classified {
+    fn build(prepared: &PreparedVolume, resolved: &ResolvedRequest) -> Option<Self> {
+        let transfer = &resolved.transfer;
+        let classification = Classification::build(prepared, transfer, resolved.purpose()?);
+        let start = Instant::now();
+        let encodings = resolved.walks_encodings().then(|| Encodings::build(prepared, transfer, &classification));
+        Some(Self { classification, encodings: encodings.map(|encodings| (encodings, start.elapsed())) })
+    }
+
+    /// Share of the voxels (or cells) that are not transparent, where there are encodings to tell.
+    pub fn nontransparent_share(&self) -> Option<f64> {
+        self.encodings.as_ref().map(|(encodings, _)| encodings.nontransparent_share())
+    }
+
     /// Bytes in memory, by structure: `run_lengths`, `tables`.
-    pub fn bytes(&self) -> [(&'static str, u64); 2] {
-        [("run_lengths", self.encodings.bytes()), ("tables", self.classification.bytes())]
+    pub fn bytes(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        let run_lengths = self.encodings.iter().map(|(encodings, _)| ("run_lengths", encodings.bytes()));
+        run_lengths.chain([("tables", self.classification.bytes())])
     }
 }
 
 impl Stage {
     /// Builds what the request needs. A refused request costs no structures.
     pub fn build(loaded: LoadedVolume, request: RenderRequest) -> Result<Self, Failure> {
-        let presets = FittedPresets::of(&loaded.volume, loaded.modality.as_deref());
-        let resolved = request.resolve(&loaded.volume, &presets, &LIMITS).map_err(refused)?;
-        let progress = spinner("gradients and octree");
-        let level_0 = loaded.volume;
-        let volume = if resolved.level() == 0 { level_0.clone() } else { pyramid::coarser(&level_0) };
-        let prepared = PreparedVolume::build(volume);
+        let volume = loaded.volume;
+        let presets = FittedPresets::of(&volume, loaded.modality.as_deref());
+        let resolved = request.resolve(&volume, &presets, &LIMITS).map_err(refused)?;
+        let progress = spinner("octree");
+        let level = if resolved.level() == 0 { volume.clone() } else { pyramid::coarser(&volume) };
+        let prepared = PreparedVolume::build(level);
         progress.set_message("run-length encodings");
-        let classified = resolved.purpose().map(|purpose| {
-            let classification = Classification::build(&prepared, &resolved.transfer, purpose);
-            let start = Instant::now();
-            let encodings = Encodings::build(&prepared, &resolved.transfer, &classification);
-            Classified { classification, encodings, run_lengths: start.elapsed() }
-        });
+        let classified = Classified::build(&prepared, &resolved);
         progress.finish_and_clear();
-        Ok(Self { level_0, prepared, classified, request, resolved })
+        Ok(Self { volume, prepared, classified, request, resolved })
     }
 
     /// The view with the camera turned by `degrees` about the vertical axis.
     pub fn view(&self, degrees: f64) -> Result<View, Failure> {
         let turned = if degrees == 0.0 { Ok(self.request.clone()) } else { self.request.turned(degrees) };
-        turned.and_then(|request| request.view(&self.level_0)).map_err(refused)
+        turned.and_then(|request| request.view(&self.volume)).map_err(refused)
     }
 
     /// The frame of a view.
@@ -195,7 +205,7 @@ impl Stage {
             prepared: &self.prepared,
             transfer: &self.resolved.transfer,
             classification: self.classified.as_ref().map(|c| &c.classification),
-            encodings: self.classified.as_ref().map(|c| &c.encodings),
+            encodings: self.classified.as_ref().and_then(|c| c.encodings.as_ref()).map(|(encodings, _)| encodings),
         };
         render::render(&scene, view, &self.resolved.settings, &Cancel::default())
             .map_err(|error| Failure::Usage(error.to_string()))

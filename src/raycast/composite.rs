@@ -4,6 +4,7 @@ use glam::{DVec3, Vec4};
 
 use super::Stretch;
 use super::field::{Field, Place};
+use crate::classify::summed_area::octree_for;
 use crate::classify::transfer::{TransferFunction, extinction};
 use crate::render::{DepthCueing, Light, Ray, Scene, Settings, Shading, View};
 use crate::volume::Volume;
@@ -30,7 +31,7 @@ impl<'a, T: Code> Medium<'a, T> {
     pub(super) fn new(field: Field<'a, T>, scene: &Scene<'a>, view: &View, settings: &'a Settings) -> Self {
         let (volume, transfer) = (scene.prepared.volume(), scene.transfer);
         let occupied = settings.skipping.then(|| {
-            scene.prepared.octree().occupied_leaves(|range| {
+            octree_for(scene.prepared, transfer).occupied_leaves(|range| {
                 let (low, high) = range.code;
                 let values = (volume.value_of_code(low.into()), volume.value_of_code(high.into()));
                 // An interpolated gradient may be shorter than all that it was made of.
@@ -50,9 +51,9 @@ impl<'a, T: Code> Medium<'a, T> {
     }
 
     /// The integral along one ray.
-    pub(super) fn pixel(&self, ray: &Ray, stretch: &Stretch) -> Vec4 {
+    pub(super) fn pixel(&self, ray: &Ray, stretch: &Stretch<'_>) -> Vec4 {
         let (mut color, mut transmittance) = (DVec3::ZERO, 1.0);
-        for n in 0..stretch.steps {
+        for n in stretch.walk() {
             let middle = n as f64 + 0.5;
             let Some((mut sample, tau)) = self.sample(stretch.at(middle), ray) else { continue };
             if let Some((DepthCueing { front, density }, depth)) = &self.depth_cueing {

@@ -38,7 +38,7 @@ impl<'a, T: Code> Intensity<'a, T> {
     }
 
     /// The gray of a ray inside the volume.
-    pub(super) fn pixel(&self, stretch: &Stretch) -> Vec4 {
+    pub(super) fn pixel(&self, stretch: &Stretch<'_>) -> Vec4 {
         let code = match self.which {
             IntensityProjection::Maximum => self.maximum(stretch),
             IntensityProjection::Minimum => self.minimum(stretch),
@@ -49,28 +49,31 @@ impl<'a, T: Code> Intensity<'a, T> {
         Vec4::splat(gray.clamp(0.0, 1.0) as f32).with_w(1.0)
     }
 
-    fn maximum(&self, stretch: &Stretch) -> f64 {
-        (0..=stretch.steps).fold(f64::NEG_INFINITY, |found, n| {
-            let place = self.field.place(stretch.at(n as f64));
+    fn maximum(&self, stretch: &Stretch<'_>) -> f64 {
+        self.samples(stretch).fold(f64::NEG_INFINITY, |found, place| {
             if self.range(place).1 <= found { found } else { found.max(self.field.code(place)) }
         })
     }
 
-    fn minimum(&self, stretch: &Stretch) -> f64 {
-        (0..=stretch.steps).fold(f64::INFINITY, |found, n| {
-            let place = self.field.place(stretch.at(n as f64));
+    fn minimum(&self, stretch: &Stretch<'_>) -> f64 {
+        self.samples(stretch).fold(f64::INFINITY, |found, place| {
             if self.range(place).0 >= found { found } else { found.min(self.field.code(place)) }
         })
     }
 
-    fn average(&self, stretch: &Stretch) -> f64 {
-        let code = |n: u64| {
-            let place = self.field.place(stretch.at(n as f64));
+    fn average(&self, stretch: &Stretch<'_>) -> f64 {
+        let code = |place| {
             let (low, high) = self.range(place);
             if low == high { low } else { self.field.code(place) }
         };
-        let inner: f64 = (1..stretch.steps).map(code).sum();
-        (inner + 0.5 * (code(0) + code(stretch.steps))) / stretch.steps as f64
+        let [first, last] = [0, stretch.steps].map(|n| code(self.field.place(stretch.at(n as f64))));
+        let all: f64 = self.samples(stretch).map(code).sum();
+        (all - 0.5 * (first + last)) / stretch.steps as f64
+    }
+
+    /// The ends of all steps.
+    fn samples(&self, stretch: &Stretch<'_>) -> impl Iterator<Item = Place> {
+        stretch.walk().chain([stretch.steps]).map(|n| self.field.place(stretch.at(n as f64)))
     }
 
     /// The codes of the place's leaf; any, where nothing is skipped.

@@ -24,41 +24,72 @@ impl Background {
     }
 }
 
-/// Writes a premultiplied pixel over an opaque background as RGB.
+/// A premultiplied pixel over an opaque background: RGB, and a byte without meaning.
 #[inline(always)]
-pub(super) fn write_over(pixel: Vec4, background: Vec4, out: &mut [u8]) {
-    let over = pixel + background * (1.0 - pixel.w);
-    out.copy_from_slice(&to_bytes(over)[..3]);
+fn over(pixel: Vec4, background: Vec4) -> [u8; 4] {
+    to_bytes(pixel + background * (1.0 - pixel.w))
 }
 
-/// Writes a premultiplied pixel as RGBA with straight alpha.
+/// The same of four.
 #[inline(always)]
-pub(super) fn write_straight(pixel: Vec4, out: &mut [u8]) {
+fn four_over(pixels: &[Vec4; 4], background: Vec4) -> [u8; 16] {
+    let mut words = [0; 16];
+    for n in 0..4 {
+        let scaled = scale(pixels[n] + background * (1.0 - pixels[n].w)).to_array();
+        for channel in 0..4 {
+            words[n * 4 + channel] = scaled[channel].to_bits();
+        }
+    }
+    let mut bytes = [0; 16];
+    for n in 0..16 {
+        bytes[n] = words[n] as u8;
+    }
+    bytes
+}
+
+/// A premultiplied pixel as RGBA with straight alpha.
+#[inline(always)]
+fn straight(pixel: Vec4) -> [u8; 4] {
     let scale = if pixel.w > 0.0 { 1.0 / pixel.w } else { 0.0 };
-    let straight = pixel * Vec4::new(scale, scale, scale, 1.0);
-    out.copy_from_slice(&to_bytes(straight));
+    to_bytes(pixel * Vec4::new(scale, scale, scale, 1.0))
 }
 
 /// 0..=1 to the nearest of 0..=255. Adding 2^23 leaves the rounded integer in the low mantissa
 /// bits, without the saturating casts that do not vectorize.
 #[inline(always)]
 fn to_bytes(color: Vec4) -> [u8; 4] {
-    let scaled = color.clamp(Vec4::ZERO, Vec4::ONE) * 255.0 + Vec4::splat(8_388_608.0);
-    scaled.to_array().map(|c| c.to_bits() as u8)
+    scale(color).to_array().map(|c| c.to_bits() as u8)
+}
+
+#[inline(always)]
+fn scale(color: Vec4) -> Vec4 {
+    color.clamp(Vec4::ZERO, Vec4::ONE) * 255.0 + Vec4::splat(8_388_608.0)
 }
 
 /// Writes a row of premultiplied pixels.
+#[inline(always)]
 pub(super) fn write_row(pixels: &[Vec4], background: &Background, out: &mut [u8]) {
     match background {
         Background::Transparent => {
             for (pixel, out) in pixels.iter().zip(out.chunks_exact_mut(4)) {
-                write_straight(*pixel, out);
+                out.copy_from_slice(&straight(*pixel));
             }
         }
         Background::Opaque([r, g, b]) => {
             let background = Vec4::new(*r, *g, *b, 0.0);
-            for (pixel, out) in pixels.iter().zip(out.chunks_exact_mut(3)) {
-                write_over(*pixel, background, out);
+            let mut first = 0;
+            // Whole words: a pixel's fourth byte is the next one's first, which is written after it.
+            while first + 4 < pixels.len() {
+                let four: &[Vec4; 4] = pixels[first..].first_chunk().expect("four pixels");
+                let bytes = four_over(four, background);
+                let out: &mut [u8; 13] = out[first * 3..].first_chunk_mut().expect("room for more than four");
+                for n in 0..4 {
+                    out[n * 3..n * 3 + 4].copy_from_slice(&bytes[n * 4..n * 4 + 4]);
+                }
+                first += 4;
+            }
+            for (pixel, out) in pixels[first..].iter().zip(out[first * 3..].chunks_exact_mut(3)) {
+                out.copy_from_slice(&over(*pixel, background)[..3]);
             }
         }
     }

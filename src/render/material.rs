@@ -80,7 +80,14 @@ impl Light for Unlit {
 
 /// Parallel rays: the normal tells it all.
 #[derive(Clone, Copy, Debug)]
-pub struct ByNormal<'a>(pub &'a ShadingTable);
+pub struct ByNormal<'a>(&'a [[f32; 2]]);
+
+impl<'a> ByNormal<'a> {
+    /// By a table for the view.
+    pub fn new(table: &'a ShadingTable) -> Self {
+        Self(table.entries())
+    }
+}
 
 impl Light for ByNormal<'_> {
     const LIT: bool = true;
@@ -90,7 +97,7 @@ impl Light for ByNormal<'_> {
     fn shade<const N: usize>(self, normals: &[u16; N], _: [usize; 3]) -> [[f32; N]; 2] {
         let mut light = [[0.0; N]; 2];
         for (n, normal) in normals.iter().enumerate() {
-            [light[0][n], light[1][n]] = self.0.entries()[usize::from(*normal)];
+            [light[0][n], light[1][n]] = self.0[usize::from(*normal)];
         }
         light
     }
@@ -167,16 +174,20 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
 
     #[inline(always)]
     fn colors_by<const N: usize>(&self, voxels: &[Voxel], factors: &[u8], [i, j, k]: [usize; 3], out: &mut [Vec4]) {
-        for (block, (voxels, out)) in voxels.chunks(N).zip(out.chunks_mut(N)).enumerate() {
+        let out = &mut out[..voxels.len()];
+        let mut first = 0;
+        while first < voxels.len() {
+            let end = (first + N).min(voxels.len());
             let mut normals = [0; N];
-            for (normal, voxel) in normals.iter_mut().zip(voxels) {
-                *normal = voxel.normal;
+            for at in first..end {
+                normals[at - first] = voxels[at].normal;
             }
-            let [scales, addends] = self.light(&normals, [i + block * N, j, k]);
-            for (n, (out, voxel)) in out.iter_mut().zip(voxels).enumerate() {
-                let factor = if FACTORED { factors[block * N + n] } else { u8::MAX };
-                *out = self.color(voxel.code, factor, [scales[n], addends[n]]);
+            let [scales, addends] = self.light(&normals, [i + first, j, k]);
+            for at in first..end {
+                let factor = if FACTORED { factors[at] } else { u8::MAX };
+                out[at] = self.color(voxels[at].code, factor, [scales[at - first], addends[at - first]]);
             }
+            first = end;
         }
     }
 }

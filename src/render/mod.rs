@@ -10,7 +10,6 @@ pub mod ray_light;
 pub mod shade;
 mod shear_image;
 mod shear_warp;
-pub mod simd;
 pub mod slab;
 pub mod view;
 pub mod warp;
@@ -24,6 +23,7 @@ use rayon::prelude::*;
 
 use crate::classify::{Classification, Encodings, TransferFunction};
 use crate::raycast::raycast;
+use crate::simd;
 use crate::volume::{PreparedVolume, Volume};
 use factorization::Factorization;
 pub use image::Image;

@@ -131,6 +131,16 @@ pub enum Rays {
     Perspective { eye: DVec3, corner: DVec3, dx: DVec3, dy: DVec3 },
 }
 
+impl Rays {
+    fn is_finite(&self) -> bool {
+        let vectors = match *self {
+            Self::Parallel { corner, dx, dy, direction } => [corner, dx, dy, direction],
+            Self::Perspective { eye, corner, dx, dy } => [eye, corner, dx, dy],
+        };
+        vectors.iter().all(|vector| vector.is_finite())
+    }
+}
+
 impl View {
     /// The view of `camera` on a volume with this `centre` and `radius` (world mm), as an image of
     /// `width` x `height` pixels.
@@ -218,27 +228,36 @@ impl View {
         if !(projection.is_finite() && inverse.is_finite() && (parallel || perspective)) {
             return Err(ViewError::Projection);
         }
-        // The plane of rays: any depth in clip space does, all its points lie on the pixel's ray.
+        // The plane of rays: any depth in clip space does, all its points lie on the pixel's ray. They
+        // may be infinitely far, so perspective rays are found from homogeneous points.
         let world_from_camera = view.inverse();
-        let camera_point = |x: f64, y: f64, z: f64| inverse.project_point3(DVec3::new(x, y, z));
-        let (left_top, right_top, left_bottom) =
-            (camera_point(-1.0, 1.0, 0.0), camera_point(1.0, 1.0, 0.0), camera_point(-1.0, -1.0, 0.0));
-        let dx = world_from_camera.transform_vector3(right_top - left_top) / f64::from(width);
-        let dy = world_from_camera.transform_vector3(left_bottom - left_top) / f64::from(height);
+        let homogeneous = |x: f64, y: f64, z: f64| inverse * DVec4::new(x, y, z, 1.0);
+        let corners = [[-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0]].map(|[x, y]| homogeneous(x, y, 0.0));
         let forward = world_from_camera.transform_vector3(DVec3::NEG_Z);
         let rays = if parallel {
-            let near = camera_point(-1.0, 1.0, -1.0);
-            let towards =
-                world_from_camera.transform_vector3(left_top - near) * (left_top - near).dot(DVec3::NEG_Z).signum();
-            let direction = towards.try_normalize().ok_or(ViewError::Projection)?;
-            Rays::Parallel { corner: world_from_camera.transform_point3(left_top), dx, dy, direction }
+            let [left_top, right_top, left_bottom] = corners.map(|corner| corner.truncate() / corner.w);
+            let near = homogeneous(-1.0, 1.0, -1.0);
+            let towards = left_top - near.truncate() / near.w;
+            let towards = world_from_camera.transform_vector3(towards * towards.dot(DVec3::NEG_Z).signum());
+            Rays::Parallel {
+                corner: world_from_camera.transform_point3(left_top),
+                dx: world_from_camera.transform_vector3(right_top - left_top) / f64::from(width),
+                dy: world_from_camera.transform_vector3(left_bottom - left_top) / f64::from(height),
+                direction: towards.try_normalize().ok_or(ViewError::Projection)?,
+            }
         } else {
-            let eye = world_from_camera.transform_point3(DVec3::ZERO);
-            // In front of the eye, whatever the sign of the depth mapping.
-            let side = left_top.dot(DVec3::NEG_Z).signum();
-            let corner = world_from_camera.transform_vector3(left_top) * side;
-            Rays::Perspective { eye, corner, dx: dx * side, dy: dy * side }
+            // On the plane at distance 1 in front of the eye, whatever the sign of the depth mapping.
+            let [left_top, right_top, left_bottom] = corners.map(|corner| corner.truncate() / -corner.z);
+            Rays::Perspective {
+                eye: world_from_camera.transform_point3(DVec3::ZERO),
+                corner: world_from_camera.transform_vector3(left_top),
+                dx: world_from_camera.transform_vector3(right_top - left_top) / f64::from(width),
+                dy: world_from_camera.transform_vector3(left_bottom - left_top) / f64::from(height),
+            }
         };
+        if !rays.is_finite() {
+            return Err(ViewError::Projection);
+        }
         let clip_from_world = *projection * *view;
         let (z, w) = (clip_from_world.row(2), clip_from_world.row(3));
         let clip = [w + z, w - z].map(|p| HalfSpace { normal: p.truncate(), offset: p.w }).to_vec();
@@ -297,5 +316,50 @@ fn exact_sin_cos(degrees: f64) -> (f64, f64) {
         (-1.0, 0.0)
     } else {
         turn.to_radians().sin_cos()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A camera at (3, -80, 7) that looks along y, and a projection by columns.
+    fn matrices(columns: [[f64; 4]; 4]) -> Result<View, ViewError> {
+        let rotation = DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y);
+        let view = DMat4::from_mat3(rotation) * DMat4::from_translation(DVec3::new(-3.0, 80.0, -7.0));
+        let projection = DMat4::from_cols_array_2d(&columns);
+        View::new(&Camera::Matrices { view, projection }, DVec3::ZERO, 50.0, 64, 48)
+    }
+
+    fn perspective(depth: [f64; 2]) -> Result<View, ViewError> {
+        matrices([[1.5, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0], [0.1, -0.2, depth[0], -1.0], [0.0, 0.0, depth[1], 0.0]])
+    }
+
+    #[test]
+    fn a_projections_rays_do_not_depend_on_how_it_maps_depth() {
+        let (near, far) = (2.0, 300.0);
+        let usual = perspective([(far + near) / (near - far), 2.0 * far * near / (near - far)]).unwrap();
+        let reversed = perspective([(far + near) / (far - near), 2.0 * far * near / (far - near)]).unwrap();
+        // Infinitely far planes: at depth 1, and at depth 0, where the middle of clip space is.
+        let infinite = perspective([-1.0, -2.0 * near]).unwrap();
+        let reversed_infinite = perspective([0.0, near]).unwrap();
+        for at in [DVec2::ZERO, DVec2::new(20.5, 7.5), DVec2::new(64.0, 48.0)] {
+            let Ray { origin, direction } = usual.ray(at);
+            assert!((origin - DVec3::new(3.0, -80.0, 7.0)).length() < 1e-9);
+            for other in [&reversed, &infinite, &reversed_infinite] {
+                assert!((other.ray(at).direction - direction).length() < 1e-9, "{at}: {other:?}");
+            }
+        }
+        // Clip coordinates of the middle of the picture, off the centre by the third column.
+        let expected = DVec3::new(0.1 / 1.5, 1.0, -0.2 / 2.0).normalize();
+        assert!((usual.ray(DVec2::new(32.0, 24.0)).direction - expected).length() < 1e-9);
+    }
+
+    #[test]
+    fn matrices_without_finite_rays_are_refused() {
+        for (x, w) in [(0.0, 1.0), (1e-320, 1.0), (1e-308, 1.0), (1.0, 0.0)] {
+            let columns = [[x, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, w]];
+            assert_eq!(matrices(columns), Err(ViewError::Projection), "{x} {w}");
+        }
     }
 }

@@ -6,9 +6,11 @@
 //! background, and the volume's faces are not blurred into it.
 //!
 //! Positions are fixed-point numbers: the integer part addresses the four pixels, the fraction gives
-//! the weights. Under parallel projection the map is affine and they are stepped by additions. In
-//! perspective each is divided out anew, eight at a time, so that nothing accumulates, and taken
-//! to fixed point by adding a number so large that the sum's mantissa ends where the fraction does.
+//! the weights. Eight pixels of a row are placed at once. Under parallel projection the map is
+//! affine: the eight lie at fixed distances from the first, and that is stepped by additions. In
+//! perspective each is divided out anew, so that nothing accumulates, and taken to fixed point by
+//! adding a number so large that the sum's mantissa ends where the fraction does. A pixel's left and
+//! right neighbours are next to each other in memory: eight numbers, interpolated downwards at once.
 //!
 //! Where a picture has parts, each pixel is warped from the one that its ray belongs to.
 
@@ -22,17 +24,28 @@ use super::intermediate::IntermediateImage;
 use super::simd::{self, Kernel};
 use super::{Background, Cancel, RenderError, image};
 
-/// Fractional bits of a position: steps over a row of 2^15 pixels err by less than 2^-16 pixels.
-const FRACTION_BITS: u32 = 32;
+/// Fractional bits of a position that is stepped along a row: over 2^15 pixels it errs by less than
+/// 2^-16 pixels.
+const STEPPED_BITS: u32 = 32;
 
-/// Added to a position below 2^18, leaves `FRACTION_BITS` of its fraction at the mantissa's end.
+/// Fractional bits of a position that pixels are read at: its 32 bits reach as far as an intermediate image.
+const FRACTION_BITS: u32 = 15;
+
+/// Added to a position below 2^17, leaves `FRACTION_BITS` of its fraction at the mantissa's end.
 const TO_FIXED: f64 = 1.5 * (1u64 << (f64::MANTISSA_DIGITS - 1 - FRACTION_BITS)) as f64;
+
+/// So far inside the slices' borders a row's pixels begin and end, pixels: what rounding leaves a hair outside
+/// would be read below pixel 0.
+const ROUNDING: f64 = 1e-6;
 
 /// Rows that one job fills.
 const BAND_HEIGHT: usize = 16;
 
-/// Positions that are divided out at once.
+/// Pixels that are placed at once.
 const LANES: usize = 8;
+
+/// Numbers of two pixels, one after the other.
+type Pair = [f32; 8];
 
 /// A factorization and its composited slices.
 #[derive(Clone, Copy, Debug)]
@@ -76,15 +89,27 @@ impl Kernel for Band<'_> {
 
     #[inline(always)]
     fn run(self) {
+        let channels = self.background.channels();
+        let row_bytes = self.width * channels;
         let mut pixels = vec![Vec4::ZERO; self.width];
-        let row_bytes = self.width * self.background.channels();
+        let mut empty = vec![0; row_bytes];
+        image::write_row(&pixels, self.background, &mut empty);
         for (row, out) in self.rows.chunks_exact_mut(row_bytes).enumerate() {
             let centre = DVec3::new(0.5, (self.first + row) as f64 + 0.5, 1.0);
             match self.parts {
-                [part] => Row::new(part, centre, self.width).warp(part, &mut pixels),
-                parts => several(parts, centre, &mut pixels),
+                [part] => {
+                    let row = Row::new(part, centre, self.width);
+                    let Range { start, end } = row.inside;
+                    row.sample(part, &mut pixels[start..end]);
+                    out[..start * channels].copy_from_slice(&empty[..start * channels]);
+                    image::write_row(&pixels[start..end], self.background, &mut out[start * channels..end * channels]);
+                    out[end * channels..].copy_from_slice(&empty[end * channels..]);
+                }
+                parts => {
+                    several(parts, centre, &mut pixels);
+                    image::write_row(&pixels, self.background, out);
+                }
             }
-            image::write_row(&pixels, self.background, out);
         }
     }
 }
@@ -104,7 +129,9 @@ fn several(parts: &[Part<'_>], centre: DVec3, pixels: &mut [Vec4]) {
         if !owners.contains(&Some(n)) {
             continue;
         }
-        Row::new(part, centre, pixels.len()).warp(part, &mut warped);
+        let row = Row::new(part, centre, pixels.len());
+        warped.fill(Vec4::ZERO);
+        row.sample(part, &mut warped[row.inside.clone()]);
         for ((pixel, warped), _) in pixels.iter_mut().zip(&warped).zip(&owners).filter(|(_, owner)| **owner == Some(n))
         {
             *pixel = *warped;
@@ -117,7 +144,7 @@ struct Row {
     /// Homogeneous position of the first pixel, and what the next one adds.
     start: DVec3,
     step: DVec3,
-    /// The pixels that lie over the slices.
+    /// The pixels that lie over the slices, but for transparent ones at either end.
     inside: Range<usize>,
     extent: [DVec2; 2],
 }
@@ -128,15 +155,31 @@ impl Row {
         let sheared_from_image = part.factorization.sheared_from_image;
         let (start, step) = (sheared_from_image * centre, sheared_from_image.x_axis);
         let extent = part.factorization.extent;
-        Self { start, step, inside: inside(extent, start, step, length), extent }
+        let over = inside(extent, start, step, length);
+        let drawn = Self::drawn(part.image, start, step, &over);
+        // A hair wider than where pixels that are drawn have an influence.
+        let narrow = [extent[0].with_x(drawn.start as f64 - 1.01), extent[1].with_x(drawn.end as f64 + 0.01)];
+        let drawn = if drawn.is_empty() { 0..0 } else { inside(narrow, start, step, length) };
+        let (first, end) = (over.start.max(drawn.start), over.end.min(drawn.end));
+        Self { start, step, inside: if first < end { first..end } else { 0..0 }, extent }
     }
 
-    /// Samples the row; pixels that do not lie over the slices are transparent.
+    /// What is drawn of the scanlines under the pixels of `over`.
     #[inline(always)]
-    fn warp(&self, part: &Part<'_>, pixels: &mut [Vec4]) {
-        pixels[..self.inside.start].fill(Vec4::ZERO);
-        pixels[self.inside.end..].fill(Vec4::ZERO);
-        let pixels = &mut pixels[self.inside.clone()];
+    fn drawn(image: &IntermediateImage, start: DVec3, step: DVec3, over: &Range<usize>) -> Range<usize> {
+        if over.is_empty() {
+            return 0..0;
+        }
+        let [a, b] = [over.start, over.end - 1].map(|x| {
+            let at = start + step * x as f64;
+            at.y / at.z
+        });
+        image.drawn((a.min(b) - 0.01).max(0.0) as usize, (a.max(b) + 1.01) as usize)
+    }
+
+    /// Samples the pixels inside.
+    #[inline(always)]
+    fn sample(&self, part: &Part<'_>, pixels: &mut [Vec4]) {
         if part.factorization.is_parallel() {
             self.affine(part.image, pixels);
         } else {
@@ -144,15 +187,30 @@ impl Row {
         }
     }
 
+    /// Blocks begin at multiples of their length, wherever the row does: a pixel's position depends on
+    /// nothing but its place in the row.
     #[inline(always)]
     fn affine(&self, image: &IntermediateImage, pixels: &mut [Vec4]) {
-        let first = self.start + self.step * self.inside.start as f64;
-        let mut position = [first.x, first.y].map(fixed);
-        let step = [self.step.x, self.step.y].map(fixed);
-        for pixel in pixels {
-            // Rounding may leave the row's ends a hair below 0.
-            *pixel = sample(image, position.map(|p| p.max(0)));
-            position = [position[0] + step[0], position[1] + step[1]];
+        let Range { start, end } = self.inside;
+        let first = start / LANES * LANES;
+        let [du, dv] = [self.step.x, self.step.y].map(stepped);
+        let (mut u, mut v) = (stepped(self.start.x) + du * first as i64, stepped(self.start.y) + dv * first as i64);
+        let (mut along_u, mut along_v) = ([0; LANES], [0; LANES]);
+        for lane in 0..LANES {
+            along_u[lane] = shortened(du * lane as i64);
+            along_v[lane] = shortened(dv * lane as i64);
+        }
+        for x in (first..end).step_by(LANES) {
+            let (first_u, first_v) = (shortened(u), shortened(v));
+            let (mut us, mut vs) = ([0; LANES], [0; LANES]);
+            for lane in 0..LANES {
+                // Rounding may leave the row's ends a hair below 0; lanes beyond them may be anywhere.
+                us[lane] = first_u.wrapping_add(along_u[lane]).max(0);
+                vs[lane] = first_v.wrapping_add(along_v[lane]).max(0);
+            }
+            let (from, to) = (x.max(start), (x + LANES).min(end));
+            sample(image, [us, vs], from - x, &mut pixels[from - start..to - start]);
+            (u, v) = (u + du * LANES as i64, v + dv * LANES as i64);
         }
     }
 
@@ -161,32 +219,46 @@ impl Row {
         let [low, high] = self.extent;
         for (block, pixels) in pixels.chunks_mut(LANES).enumerate() {
             let first = (self.inside.start + block * LANES) as f64;
-            let mut positions = [[0; 2]; LANES];
-            for (lane, position) in positions.iter_mut().enumerate() {
+            let (mut us, mut vs) = ([0; LANES], [0; LANES]);
+            for lane in 0..LANES {
                 let x = first + lane as f64;
                 let w = 1.0 / (self.start.z + x * self.step.z);
                 let u = ((self.start.x + x * self.step.x) * w).max(low.x).min(high.x);
                 let v = ((self.start.y + x * self.step.y) * w).max(low.y).min(high.y);
-                *position = [u, v].map(|p| (p + TO_FIXED).to_bits() as i64 - TO_FIXED.to_bits() as i64);
+                us[lane] = (u + TO_FIXED).to_bits() as i32;
+                vs[lane] = (v + TO_FIXED).to_bits() as i32;
             }
-            for (pixel, position) in pixels.iter_mut().zip(positions) {
-                *pixel = sample(image, position);
-            }
+            sample(image, [us, vs], 0, pixels);
         }
     }
 }
 
-/// The bilinearly interpolated pixel at a position.
+/// The bilinearly interpolated pixels at some positions, from lane `first` on.
 #[inline(always)]
-fn sample(image: &IntermediateImage, position: [i64; 2]) -> Vec4 {
-    let (pixels, stride) = (image.pixels(), image.size()[0]);
-    let [u, v] = position.map(|p| (p >> FRACTION_BITS) as usize);
-    let [fu, fv] = position.map(fraction);
-    let at = v * stride + u;
-    let (upper, lower) = (&pixels[at..at + 2], &pixels[at + stride..at + stride + 2]);
-    let above = upper[0] + (upper[1] - upper[0]) * fu;
-    let below = lower[0] + (lower[1] - lower[0]) * fu;
-    above + (below - above) * fv
+fn sample(image: &IntermediateImage, [us, vs]: [[i32; LANES]; 2], first: usize, out: &mut [Vec4]) {
+    const SCALE: f32 = 1.0 / (1 << FRACTION_BITS) as f32;
+    let stride = image.size()[0];
+    let span = stride * 4 + 8;
+    let numbers: &[f32] = bytemuck::cast_slice(image.pixels());
+    let (mut at, mut fractions_u, mut fractions_v) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
+    for lane in 0..LANES {
+        let (u, v) = (us[lane] >> FRACTION_BITS, vs[lane] >> FRACTION_BITS);
+        at[lane] = v.wrapping_mul(stride as i32).wrapping_add(u) as u32;
+        fractions_u[lane] = (us[lane] & ((1 << FRACTION_BITS) - 1)) as f32 * SCALE;
+        fractions_v[lane] = (vs[lane] & ((1 << FRACTION_BITS) - 1)) as f32 * SCALE;
+    }
+    for (out, lane) in out.iter_mut().zip(first..LANES) {
+        // From the upper two pixels to the lower two: one look at the bounds for all.
+        let around = &numbers[at[lane] as usize * 4..][..span];
+        let upper: &Pair = around.first_chunk().expect("eight numbers");
+        let lower: &Pair = around.last_chunk().expect("eight numbers");
+        let mut pair = [0.0; 8];
+        for n in 0..8 {
+            pair[n] = upper[n] + (lower[n] - upper[n]) * fractions_v[lane];
+        }
+        let [left, right] = [Vec4::from_slice(&pair[..4]), Vec4::from_slice(&pair[4..])];
+        *out = left + (right - left) * fractions_u[lane];
+    }
 }
 
 /// The pixels of a row whose positions lie within `extent`.
@@ -201,23 +273,23 @@ fn inside([lowest, highest]: [DVec2; 2], start: DVec3, step: DVec3, length: usiz
                 return 0..0;
             }
         } else if rate > 0.0 {
-            low = f64::max(low, -distance / rate);
+            low = f64::max(low, -distance / rate + ROUNDING);
         } else {
-            high = f64::min(high, -distance / rate);
+            high = f64::min(high, -distance / rate - ROUNDING);
         }
     }
-    // What rounding leaves a hair outside would be read below pixel 0.
-    let (low, high) = ((low + 1e-6).ceil(), (high - 1e-6).floor());
+    let (low, high) = (low.ceil(), high.floor());
     if low > high { 0..0 } else { low as usize..high as usize + 1 }
 }
 
-fn fixed(position: f64) -> i64 {
-    (position * (1u64 << FRACTION_BITS) as f64).round() as i64
+/// A position to be stepped.
+#[inline(always)]
+fn stepped(position: f64) -> i64 {
+    (position * (1u64 << STEPPED_BITS) as f64).round() as i64
 }
 
-/// The fraction of a position, 0..1, to 24 bits: all that an f32 holds.
+/// A stepped position, to be read at.
 #[inline(always)]
-fn fraction(position: i64) -> f32 {
-    const SCALE: f32 = 1.0 / (1u32 << 24) as f32;
-    ((position as u32) >> 8) as i32 as f32 * SCALE
+fn shortened(stepped: i64) -> i32 {
+    (stepped >> (STEPPED_BITS - FRACTION_BITS)) as i32
 }

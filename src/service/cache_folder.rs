@@ -25,7 +25,7 @@ use super::metrics;
 const MAGIC: &[u8; 8] = b"SHEARRLE";
 
 /// Raised whenever the payload's layout changes.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Bytes of the checksum at the end.
 const CHECKSUM_BYTES: u64 = 16;

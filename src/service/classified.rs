@@ -380,7 +380,8 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread")]
     async fn the_least_recently_used_go_when_the_bytes_are_used_up() {
-        let (pool, volume) = (pool(), ball(8.0));
+        // Nearly filled, so that its encodings take nearly what they may take.
+        let (pool, volume) = (pool(), ball(14.0));
         let warm = async |cache: &ClassifiedCache, opacity| {
             cache.warm_up(&pool.own_work(), &volume, made_from(opacity)).await.unwrap();
             cache.size().await

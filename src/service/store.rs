@@ -83,7 +83,12 @@ impl LoadedVolume {
         let histogram = Histogram::of(&volume);
         let presets = FittedPresets::of(&volume, modality);
         let coarser = PreparedVolume::build(pyramid::coarser(&volume));
-        Self { levels: [PreparedVolume::build(volume), coarser], histogram, presets, fingerprint }
+        let levels = [PreparedVolume::build(volume), coarser];
+        // Made when asked for; no frame shall wait for them.
+        for level in &levels {
+            level.normals();
+        }
+        Self { levels, histogram, presets, fingerprint }
     }
 
     /// What was measured.

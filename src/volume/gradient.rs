@@ -1,10 +1,13 @@
 //! Gradients, gradient magnitude and quantized normals.
 //!
 //! Gradients are central differences in world mm with indices clamped at the border and a divisor
-//! of twice the spacing. What a frame needs of them is the surface normal, and it needs it for
-//! every voxel it draws in every frame, so normals are computed once per volume and quantized
-//! (Lacroute and Levoy 1994, section 3.1: shading from a lookup table indexed by an encoded
-//! normal).
+//! of twice the spacing. What a frame needs of them is the surface normal of the voxels it draws, quantized
+//! (Lacroute and Levoy 1994, section 3.1: shading from a lookup table indexed by an encoded normal).
+//!
+//! [`Gradients`] computes eight at once from the scanlines of any principal axis, to the same bits from each.
+//! An encoding has that done for the voxels that it keeps, and needs no array of all. Frames of unencoded
+//! voxels ask for few in each block of eight, again and again; for them there is an array, made when the
+//! first of them asks ([`PreparedVolume::normals`](super::PreparedVolume::normals)).
 //!
 //! Lighting is two-sided: a normal and its opposite are lit alike. So only a hemisphere is
 //! encoded, by an octahedral map folded at the equator: one division, no trigonometry, cells of
@@ -18,10 +21,12 @@
 
 use std::sync::LazyLock;
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
-use super::{Placement, Scalars, Volume};
+use super::scanlines::Scanlines;
+use super::{Placement, Volume};
+use crate::simd::{self, Kernel};
 
 /// Steps along each side of the folded octahedral map.
 pub const NORMAL_STEPS: usize = 128;
@@ -33,20 +38,46 @@ pub const NORMAL_CODES: usize = NORMAL_STEPS * NORMAL_STEPS + 1;
 const _: () = assert!(NORMAL_CODES <= 1 << 15, "a voxel keeps its normal in 15 bits");
 
 /// One code of 8 or 16 bits.
-pub trait Code: Copy + Ord + Send + Sync + Into<u16> + 'static {
+pub trait Code: bytemuck::Pod + Ord + Default + Send + Sync + Into<u16> {
+    /// The largest that the type holds.
+    const MAX: Self;
+
     /// As a number.
     fn as_f32(self) -> f32;
+
+    /// As a number that differences are taken of.
+    #[inline(always)]
+    fn as_i32(self) -> i32 {
+        i32::from(self.into())
+    }
+
+    /// `code`, which the type must hold.
+    fn from_code(code: u16) -> Self;
 }
 
 impl Code for u8 {
+    const MAX: Self = Self::MAX;
+
+    #[inline(always)]
     fn as_f32(self) -> f32 {
         f32::from(self)
+    }
+
+    fn from_code(code: u16) -> Self {
+        code as u8
     }
 }
 
 impl Code for u16 {
+    const MAX: Self = Self::MAX;
+
+    #[inline(always)]
     fn as_f32(self) -> f32 {
         f32::from(self)
+    }
+
+    fn from_code(code: u16) -> Self {
+        code
     }
 }
 
@@ -82,71 +113,154 @@ impl GradientFrame {
     }
 }
 
-/// Differences of codes across one row of voxels, ready to be scaled: scratch of a pass.
-#[derive(Debug)]
-pub struct GradientRow {
-    /// Gradient along the frame's axes, one array each, `nx` long.
-    pub components: [Vec<f32>; 3],
+/// Voxels whose gradients are computed at once where whole scanlines are.
+pub const BLOCK: usize = 8;
+
+/// Gradients of a block of voxels along the frame's axes, one array each.
+pub type GradientBlock<const N: usize> = [[f32; N]; 3];
+
+/// The gradients of a volume's voxels, computed from its scanlines where they are asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Gradients<'a, T> {
+    scanlines: Scanlines<'a, T>,
+    frame_from_differences: Mat3,
+    diagonal: bool,
 }
 
-impl GradientRow {
-    /// Scratch for rows of `nx` voxels.
-    pub fn new(nx: usize) -> Self {
-        Self { components: std::array::from_fn(|_| vec![0.0; nx]) }
+impl<'a, T: Code> Gradients<'a, T> {
+    /// Of the volume whose `scanlines` these are; `frame` is that of its placement and slope.
+    pub fn new(scanlines: Scanlines<'a, T>, frame: &GradientFrame) -> Self {
+        let frame_from_differences = frame.frame_from_differences.as_mat3();
+        Self { scanlines, frame_from_differences, diagonal: frame.diagonal }
     }
 
-    /// Computes the row (j, k) of `codes`.
-    pub fn compute<T: Code>(&mut self, codes: &[T], dims: [usize; 3], frame: &GradientFrame, j: usize, k: usize) {
-        let [nx, ny, nz] = dims;
-        let row = |j: usize, k: usize| &codes[(k * ny + j) * nx..][..nx];
-        let here = row(j, k);
-        let (before_j, after_j) = (row(j.saturating_sub(1), k), row((j + 1).min(ny - 1), k));
-        let (before_k, after_k) = (row(j, k.saturating_sub(1)), row(j, (k + 1).min(nz - 1)));
-        let [gi, gj, gk] = &mut self.components;
-        for (g, pair) in gi[1..nx - 1].iter_mut().zip(here.windows(3)) {
-            *g = pair[2].as_f32() - pair[0].as_f32();
-        }
-        gi[0] = here[1].as_f32() - here[0].as_f32();
-        gi[nx - 1] = here[nx - 1].as_f32() - here[nx - 2].as_f32();
-        for ((g, after), before) in gj.iter_mut().zip(after_j).zip(before_j) {
-            *g = after.as_f32() - before.as_f32();
-        }
-        for ((g, after), before) in gk.iter_mut().zip(after_k).zip(before_k) {
-            *g = after.as_f32() - before.as_f32();
-        }
-        self.turn(frame);
+    /// The gradients at voxels `first..first + N` of scanline `j` of slice `k`; past the scanline's end
+    /// they mean nothing. The same bits whichever principal axis the scanlines are of.
+    #[inline(always)]
+    pub fn block<const N: usize>(&self, j: usize, k: usize, first: usize) -> GradientBlock<N> {
+        let [_, nj, nk] = self.scanlines.dims();
+        let row = self.scanlines.row(j, k);
+        let along_i = match first.checked_sub(1).and_then(|from| row.get(from..first + N + 1)) {
+            Some(around) => difference(codes_from(around, 2), codes_from(around, 0)),
+            None => difference_at_an_end(row, first),
+        };
+        let (before, after) = (self.scanlines.row(j.saturating_sub(1), k), self.scanlines.row((j + 1).min(nj - 1), k));
+        let along_j = difference(codes_from(after, first), codes_from(before, first));
+        let (before, after) = (self.scanlines.row(j, k.saturating_sub(1)), self.scanlines.row(j, (k + 1).min(nk - 1)));
+        let along_k = difference(codes_from(after, first), codes_from(before, first));
+        // In the volume's own order, so that sums round alike for all principal axes.
+        // (Chosen by a branch: arrays that are indexed by variables live in memory.)
+        self.turn(&match self.scanlines.axes() {
+            [1, 2, 0] => [along_k, along_i, along_j],
+            [0, 2, 1] => [along_i, along_k, along_j],
+            _ => [along_i, along_j, along_k],
+        })
     }
 
-    fn turn(&mut self, frame: &GradientFrame) {
-        let m = frame.frame_from_differences.as_mat3();
-        let [gi, gj, gk] = &mut self.components;
-        if frame.diagonal {
-            let scale = [m.x_axis.x, m.y_axis.y, m.z_axis.z];
-            for (component, scale) in [gi, gj, gk].into_iter().zip(scale) {
-                component.iter_mut().for_each(|g| *g *= scale);
+    /// Differences along the volume's axes -> components along the frame's.
+    #[inline(always)]
+    fn turn<const N: usize>(&self, [x, y, z]: &GradientBlock<N>) -> GradientBlock<N> {
+        let m = &self.frame_from_differences;
+        let mut turned = [[0.0; N]; 3];
+        for n in 0..N {
+            if self.diagonal {
+                turned[0][n] = m.x_axis.x * x[n];
+                turned[1][n] = m.y_axis.y * y[n];
+                turned[2][n] = m.z_axis.z * z[n];
+            } else {
+                turned[0][n] = m.x_axis.x * x[n] + m.y_axis.x * y[n] + m.z_axis.x * z[n];
+                turned[1][n] = m.x_axis.y * x[n] + m.y_axis.y * y[n] + m.z_axis.y * z[n];
+                turned[2][n] = m.x_axis.z * x[n] + m.y_axis.z * y[n] + m.z_axis.z * z[n];
             }
-        } else {
-            for ((x, y), z) in gi.iter_mut().zip(gj).zip(gk) {
-                [*x, *y, *z] = (m * Vec3::new(*x, *y, *z)).to_array();
+        }
+        turned
+    }
+}
+
+/// Codes of the normals of a block's gradients.
+#[inline(always)]
+pub fn normals<const N: usize>([x, y, z]: &GradientBlock<N>) -> [u16; N] {
+    let mut normals = [0; N];
+    for n in 0..N {
+        normals[n] = encode_normal(x[n], y[n], z[n]);
+    }
+    normals
+}
+
+/// The code of every voxel's normal, in the order of `scanlines`, those of the z axis.
+pub(super) fn quantized_normals<T: Code>(scanlines: Scanlines<'_, T>, frame: &GradientFrame) -> Vec<u16> {
+    let gradients = Gradients::new(scanlines, frame);
+    let [nx, ny, nz] = scanlines.dims();
+    let mut codes = vec![0; nx * ny * nz];
+    codes.par_chunks_mut(nx * ny).enumerate().for_each(|(z, plane)| {
+        simd::dispatch(NormalPlane { gradients, z, plane });
+    });
+    codes
+}
+
+/// A plane whose normals are wanted.
+struct NormalPlane<'a, T> {
+    gradients: Gradients<'a, T>,
+    z: usize,
+    plane: &'a mut [u16],
+}
+
+impl<T: Code> Kernel for NormalPlane<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let [nx, ..] = self.gradients.scanlines.dims();
+        for (y, row) in self.plane.chunks_exact_mut(nx).enumerate() {
+            for (block, codes) in row.chunks_mut(BLOCK).enumerate() {
+                let normals = normals(&self.gradients.block::<BLOCK>(y, self.z, block * BLOCK));
+                codes.copy_from_slice(&normals[..codes.len()]);
             }
         }
     }
+}
 
-    /// Squared gradient magnitude of every voxel of the row.
-    pub fn squared_magnitudes(&self, out: &mut [f32]) {
-        let [x, y, z] = &self.components;
-        for (((out, x), y), z) in out.iter_mut().zip(x).zip(y).zip(z) {
-            *out = x * x + y * y + z * z;
+/// Magnitudes of a block's gradients, scalar units per mm.
+#[inline(always)]
+pub fn magnitudes<const N: usize>([x, y, z]: &GradientBlock<N>) -> [f32; N] {
+    let mut magnitudes = [0.0; N];
+    for n in 0..N {
+        magnitudes[n] = (x[n] * x[n] + y[n] * y[n] + z[n] * z[n]).sqrt();
+    }
+    magnitudes
+}
+
+/// Codes from `first` on; the scanline's last one is repeated.
+#[inline(always)]
+fn codes_from<T: Code, const N: usize>(row: &[T], first: usize) -> [i32; N] {
+    let mut codes = [0; N];
+    if let Some(within) = row.get(first..first + N) {
+        for n in 0..N {
+            codes[n] = within[n].as_i32();
+        }
+    } else {
+        for (n, code) in codes.iter_mut().enumerate() {
+            *code = row[(first + n).min(row.len() - 1)].as_i32();
         }
     }
+    codes
+}
 
-    /// Code of every voxel's normal.
-    pub fn normals(&self, out: &mut [u16]) {
-        let [x, y, z] = &self.components;
-        for (((out, &x), &y), &z) in out.iter_mut().zip(x).zip(y).zip(z) {
-            *out = encode_normal(x, y, z);
-        }
+/// Differences of codes: of 16 bits and a sign, which an f32 holds exactly.
+#[inline(always)]
+fn difference<const N: usize>(after: [i32; N], before: [i32; N]) -> [f32; N] {
+    let mut differences = [0.0; N];
+    for n in 0..N {
+        differences[n] = (after[n] - before[n]) as f32;
     }
+    differences
+}
+
+/// Differences along a scanline where the neighbours of a block's voxels are not all within it.
+#[inline(never)]
+fn difference_at_an_end<T: Code, const N: usize>(row: &[T], first: usize) -> [f32; N] {
+    let code = |i: usize| row[i.min(row.len() - 1)].as_i32();
+    std::array::from_fn(|n| (code(first + n + 1) - code((first + n).saturating_sub(1).min(row.len() - 1))) as f32)
 }
 
 /// The code of a normal of any length, or of its opposite; [`NO_NORMAL`] for zero.
@@ -190,30 +304,7 @@ pub static NORMALS: LazyLock<[Vec<f32>; 3]> = LazyLock::new(|| {
     std::array::from_fn(|axis| normals.iter().map(|n| n[axis]).collect())
 });
 
-/// The normal codes of all voxels, `i` fastest.
-pub fn quantized_normals(volume: &Volume) -> Vec<u16> {
-    fn pass<T: Code>(codes: &[T], volume: &Volume) -> Vec<u16> {
-        let dims @ [nx, ny, _] = volume.dims();
-        let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-        let mut normals = vec![0; codes.len()];
-        normals.par_chunks_mut(nx * ny).enumerate().for_each_init(
-            || GradientRow::new(nx),
-            |scratch, (k, slice)| {
-                for (j, out) in slice.chunks_exact_mut(nx).enumerate() {
-                    scratch.compute(codes, dims, &frame, j, k);
-                    scratch.normals(out);
-                }
-            },
-        );
-        normals
-    }
-    match volume.scalars() {
-        Scalars::U8(codes) => pass(codes, volume),
-        Scalars::U16(codes) => pass(codes, volume),
-    }
-}
-
-/// The world gradient at voxel (i, j, k) in scalar units per mm: the plain twin of the rows above.
+/// The world gradient at voxel (i, j, k) in scalar units per mm: the plain twin of [`Gradients`].
 pub fn gradient_at(volume: &Volume, frame: &GradientFrame, [i, j, k]: [usize; 3]) -> DVec3 {
     let [nx, ny, nz] = volume.dims();
     let code = |i: usize, j: usize, k: usize| f64::from(volume.scalars().code((k * ny + j) * nx + i));
@@ -228,6 +319,8 @@ pub fn gradient_at(volume: &Volume, frame: &GradientFrame, [i, j, k]: [usize; 3]
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::volume::scanlines::AnyScanlines;
+    use crate::volume::{ImportReport, PreparedVolume, ScalarType, Scalars};
 
     #[test]
     fn a_code_is_within_a_degree_and_a_tenth_of_its_normal_or_of_the_opposite() {
@@ -249,6 +342,74 @@ mod tests {
     fn a_zero_gradient_has_no_normal() {
         assert_eq!(encode_normal(0.0, 0.0, 0.0), NO_NORMAL);
         assert_eq!(decode_normal(NO_NORMAL), Vec3::ZERO);
+    }
+
+    /// A volume of noise, of either code.
+    fn noise(dims: [usize; 3], wide: bool, direction: DMat3) -> Volume {
+        let codes = (0..dims.iter().product::<usize>() as u32).map(|at| (at + 1).wrapping_mul(2_654_435_761) >> 16);
+        let scalars = if wide {
+            Scalars::U16(codes.map(|code| code as u16).collect())
+        } else {
+            Scalars::U8(codes.map(|code| (code % 3) as u8).collect())
+        };
+        let placement = Placement { spacing: DVec3::new(0.7, 1.3, 2.1), direction, origin: DVec3::ZERO };
+        let report = ImportReport::plain("test", ScalarType::U16);
+        Volume::new(dims, placement, scalars, (0.25, -3.0), report).unwrap()
+    }
+
+    fn check<T: Code>(prepared: &PreparedVolume, frame: &GradientFrame, scanlines: Scanlines<'_, T>) {
+        let gradients = Gradients::new(scanlines, frame);
+        let [ni, nj, nk] = scanlines.dims();
+        for (j, k) in (0..nk).flat_map(|k| (0..nj).map(move |j| (j, k))) {
+            for first in 0..ni {
+                let block = gradients.block::<BLOCK>(j, k, first);
+                for n in 0..BLOCK.min(ni - first) {
+                    let mut at = [0; 3];
+                    for (axis, index) in scanlines.axes().into_iter().zip([first + n, j, k]) {
+                        at[axis] = index;
+                    }
+                    let plain = gradient_at(prepared.volume(), frame, at);
+                    let here = frame.world_from_frame * Vec3::from_array(block.map(|g| g[n])).as_dvec3();
+                    assert!((here - plain).length() <= 1e-5 * plain.length(), "{here} at {at:?}, not {plain}");
+                    assert!((f64::from(magnitudes(&block)[n]) - plain.length()).abs() <= 1e-5 * plain.length());
+                    // To the bit what any other block and principal axis make of the voxel.
+                    let alone = z_gradients(prepared, frame, at);
+                    assert_eq!(block.map(|g| g[n].to_bits()), alone.map(f32::to_bits), "at {at:?}");
+                    let normal = encode_normal(alone[0], alone[1], alone[2]);
+                    assert_eq!(normals(&block)[n], normal);
+                    let [nx, ny, _] = prepared.volume().dims();
+                    assert_eq!(prepared.normals()[(at[2] * ny + at[1]) * nx + at[0]], normal);
+                }
+            }
+        }
+    }
+
+    /// The first of the block at a voxel, by the scanlines of the z axis.
+    fn z_gradients(prepared: &PreparedVolume, frame: &GradientFrame, [x, y, z]: [usize; 3]) -> [f32; 3] {
+        match prepared.scanlines(2) {
+            AnyScanlines::U8(scanlines) => Gradients::new(scanlines, frame).block::<1>(y, z, x).map(|g| g[0]),
+            AnyScanlines::U16(scanlines) => Gradients::new(scanlines, frame).block::<1>(y, z, x).map(|g| g[0]),
+        }
+    }
+
+    #[test]
+    fn blocks_of_all_axes_are_the_plain_gradients_and_alike_to_the_bit() {
+        let skewed = DMat3::from_cols(DVec3::X, DVec3::new(0.6, 0.8, 0.0), DVec3::new(0.0, 0.6, 0.8));
+        for (dims, wide, direction) in [
+            ([2, 3, 4], false, DMat3::IDENTITY),
+            ([17, 9, 8], true, DMat3::IDENTITY),
+            ([10, 11, 3], true, skewed),
+            ([25, 2, 16], false, skewed),
+        ] {
+            let prepared = PreparedVolume::build(noise(dims, wide, direction));
+            let frame = GradientFrame::new(prepared.volume().placement(), prepared.volume().rescale().0);
+            for axis in 0..3 {
+                match prepared.scanlines(axis) {
+                    AnyScanlines::U8(scanlines) => check(&prepared, &frame, scanlines),
+                    AnyScanlines::U16(scanlines) => check(&prepared, &frame, scanlines),
+                }
+            }
+        }
     }
 
     #[test]

@@ -25,6 +25,10 @@ mod voxels;
 pub use prepared::{PrepareTimings, PreparedVolume};
 
 use glam::{DMat3, DMat4, DVec3};
+use rayon::prelude::*;
+
+use crate::simd::{self, Kernel};
+use gradient::Code;
 
 /// The scalar type that a file stored, before narrowing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -295,16 +299,24 @@ impl Volume {
 
 /// Smallest and largest code.
 fn code_range(scalars: &Scalars) -> (u16, u16) {
-    fn range<T: Copy + Ord + Into<u16> + Send + Sync>(codes: &[T]) -> (u16, u16) {
-        use rayon::prelude::*;
-        let parts = codes.par_chunks(1 << 20).map(|chunk| {
-            let first = chunk[0];
-            chunk.iter().fold((first, first), |(low, high), &c| (low.min(c), high.max(c)))
-        });
+    fn range<T: Code>(codes: &[T]) -> (u16, u16) {
+        let parts = codes.par_chunks(1 << 18).map(|codes| simd::dispatch(CodeRange(codes)));
         parts.reduce_with(|a, b| (a.0.min(b.0), a.1.max(b.1))).map_or((0, 0), |(low, high)| (low.into(), high.into()))
     }
     match scalars {
         Scalars::U8(v) => range(v),
         Scalars::U16(v) => range(v),
+    }
+}
+
+/// Codes whose smallest and largest are wanted.
+struct CodeRange<'a, T>(&'a [T]);
+
+impl<T: Code> Kernel for CodeRange<'_, T> {
+    type Output = (T, T);
+
+    #[inline(always)]
+    fn run(self) -> (T, T) {
+        self.0.iter().fold((T::MAX, T::default()), |(low, high), &code| (code.min(low), code.max(high)))
     }
 }

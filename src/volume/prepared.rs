@@ -1,8 +1,9 @@
 //! A volume with the structures that depend on nothing else, built once when it is loaded.
 
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use super::gradient::quantized_normals;
+use super::gradient::{GradientFrame, quantized_normals};
 use super::octree::MinMaxOctree;
 use super::scanlines::{AnyScanlines, Scanlines, turned};
 use super::{Scalars, Volume};
@@ -10,31 +11,36 @@ use super::{Scalars, Volume};
 /// How long the structures took.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PrepareTimings {
-    pub gradients: Duration,
+    /// The second copy of the codes.
+    pub scanlines: Duration,
     pub octree: Duration,
+    /// Normals and ranges of gradient magnitude; zero until they are asked for.
+    pub gradients: Duration,
 }
 
-/// A volume, its quantized normals and its min-max octree.
+/// A volume, its scanlines for every principal axis and its min-max octree.
 #[derive(Clone, Debug)]
 pub struct PreparedVolume {
     volume: Volume,
     /// The codes with y running fastest.
     turned: Scalars,
-    normals: Vec<u16>,
     octree: MinMaxOctree,
+    /// The octree with ranges of gradient magnitude, and how long those took.
+    gradient_octree: OnceLock<(MinMaxOctree, Duration)>,
+    /// Codes of the normals, and how long they took.
+    normals: OnceLock<(Vec<u16>, Duration)>,
     timings: PrepareTimings,
 }
 
 impl PreparedVolume {
     /// Builds the structures on the current rayon pool.
     pub fn build(volume: Volume) -> Self {
-        let turned = turned(&volume);
         let start = Instant::now();
-        let normals = quantized_normals(&volume);
-        let gradients = start.elapsed();
-        let octree = MinMaxOctree::build(&volume);
-        let timings = PrepareTimings { gradients, octree: start.elapsed() - gradients };
-        Self { volume, turned, normals, octree, timings }
+        let turned = turned(&volume);
+        let scanlines = start.elapsed();
+        let octree = MinMaxOctree::of_scalars(scanlines_of(volume.scalars(), volume.dims(), 2));
+        let timings = PrepareTimings { scanlines, octree: start.elapsed() - scanlines, gradients: Duration::ZERO };
+        Self { volume, turned, octree, gradient_octree: OnceLock::new(), normals: OnceLock::new(), timings }
     }
 
     /// What was measured.
@@ -44,34 +50,66 @@ impl PreparedVolume {
 
     /// The codes as the principal axis `axis` (0: x, 1: y, 2: z) walks them.
     pub fn scanlines(&self, axis: usize) -> AnyScanlines<'_> {
-        let dims = self.volume.dims();
-        match if axis == 0 { &self.turned } else { self.volume.scalars() } {
-            Scalars::U8(codes) => AnyScanlines::U8(Scanlines::new(codes, dims, axis)),
-            Scalars::U16(codes) => AnyScanlines::U16(Scanlines::new(codes, dims, axis)),
-        }
+        let codes = if axis == 0 { &self.turned } else { self.volume.scalars() };
+        scanlines_of(codes, self.volume.dims(), axis)
     }
 
-    /// Codes of the normals ([`super::gradient`]), `i` fastest.
-    pub fn normals(&self) -> &[u16] {
-        &self.normals
-    }
-
-    /// Ranges of scalar and gradient magnitude.
+    /// Ranges of scalar; those of gradient magnitude are unknown.
     pub fn octree(&self) -> &MinMaxOctree {
         &self.octree
     }
 
-    /// How long the structures took.
-    pub fn timings(&self) -> PrepareTimings {
-        self.timings
+    /// Ranges of scalar and gradient magnitude, the latter found on the current rayon pool when first
+    /// asked for.
+    pub fn gradient_octree(&self) -> &MinMaxOctree {
+        once(&self.gradient_octree, || self.octree.with_gradients(&self.volume, self.scanlines(2)))
     }
 
-    /// Bytes in memory, by structure: `volume`, `gradients`, `octree`.
+    /// Codes of the normals ([`super::gradient`]), x fastest; found on the current rayon pool when first asked
+    /// for.
+    pub fn normals(&self) -> &[u16] {
+        let frame = GradientFrame::new(self.volume.placement(), self.volume.rescale().0);
+        let normals: &Vec<u16> = once(&self.normals, || match self.scanlines(2) {
+            AnyScanlines::U8(scanlines) => quantized_normals(scanlines, &frame),
+            AnyScanlines::U16(scanlines) => quantized_normals(scanlines, &frame),
+        });
+        normals
+    }
+
+    /// How long the structures took.
+    pub fn timings(&self) -> PrepareTimings {
+        let octree = self.gradient_octree.get().map(|(_, took)| *took);
+        let normals = self.normals.get().map(|(_, took)| *took);
+        PrepareTimings { gradients: octree.into_iter().chain(normals).sum(), ..self.timings }
+    }
+
+    /// Bytes in memory, by structure: `volume` (with the second copy), `octree`, `gradients`.
     pub fn bytes(&self) -> [(&'static str, u64); 3] {
+        let ranges = self.gradient_octree.get().map_or(0, |(octree, _)| octree.bytes());
+        let normals = self.normals.get().map_or(0, |(normals, _)| size_of_val(&normals[..]) as u64);
         [
             ("volume", (self.volume.scalars().bytes() + self.turned.bytes()) as u64),
-            ("gradients", size_of_val(&self.normals[..]) as u64),
             ("octree", self.octree.bytes()),
+            ("gradients", ranges + normals),
         ]
+    }
+}
+
+/// What `cell` holds, found first where nobody has; with how long that took.
+fn once<T>(cell: &OnceLock<(T, Duration)>, find: impl FnOnce() -> T) -> &T {
+    let there = || cell.get().map(|(found, _)| found);
+    // Found outside the lock: who waited for it here could be stealing work from who holds it.
+    there().unwrap_or_else(|| {
+        let start = Instant::now();
+        let found = find();
+        let _the_first_one_stays = cell.set((found, start.elapsed()));
+        there().expect("it was just set")
+    })
+}
+
+fn scanlines_of(codes: &Scalars, dims: [usize; 3], axis: usize) -> AnyScanlines<'_> {
+    match codes {
+        Scalars::U8(codes) => AnyScanlines::U8(Scanlines::new(codes, dims, axis)),
+        Scalars::U16(codes) => AnyScanlines::U16(Scanlines::new(codes, dims, axis)),
     }
 }

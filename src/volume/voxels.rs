@@ -104,7 +104,7 @@ impl Header {
     fn read_scalars(&self, source: &mut Source<'_>, count: usize) -> Result<Narrowed, DecodeError> {
         Ok(match self.scalar_type {
             ScalarType::U8 => Narrowed::exact(Scalars::U8(self.read_typed(source, count)?), 0.0),
-            ScalarType::U16 => Narrowed::exact(Scalars::U16(self.read_typed(source, count)?), 0.0),
+            ScalarType::U16 => from_the_smallest(self.read_typed(source, count)?, 0.0),
             // Flipping the sign bit adds 128 (32768) modulo 256 (65536): signed order becomes code order.
             ScalarType::I8 => {
                 let mut codes: Vec<u8> = self.read_typed(source, count)?;
@@ -114,7 +114,7 @@ impl Header {
             ScalarType::I16 => {
                 let mut codes: Vec<u16> = self.read_typed(source, count)?;
                 codes.par_iter_mut().for_each(|code| *code ^= 0x8000);
-                Narrowed::exact(Scalars::U16(codes), f64::from(i16::MIN))
+                from_the_smallest(codes, f64::from(i16::MIN))
             }
             ScalarType::U32 => narrow_wide(&self.read_typed::<u32>(source, count)?),
             ScalarType::I32 => narrow_wide(&self.read_typed::<i32>(source, count)?),
@@ -162,6 +162,16 @@ impl Header {
         };
         Ok(Volume::new(dims, self.placement, scalars, (slope, intercept), report)?)
     }
+}
+
+/// Codes counted from the smallest: tables over codes begin where the volume's values do. (Hounsfield
+/// units from -1024 on as signed 16 bits would leave their first 31744 entries unused.)
+fn from_the_smallest(mut codes: Vec<u16>, intercept: f64) -> Narrowed {
+    let smallest = codes.par_chunks(1 << 16).filter_map(|chunk| chunk.iter().copied().min()).min().unwrap_or(0);
+    if smallest > 0 {
+        codes.par_iter_mut().for_each(|code| *code -= smallest);
+    }
+    Narrowed::exact(Scalars::U16(codes), intercept + f64::from(smallest))
 }
 
 /// The placement whose steps along i, j, k are the columns of `steps` (LPS mm).
@@ -266,6 +276,14 @@ mod tests {
                 assert_eq!(scalars, vec![0x0101; count]);
             }
         }
+    }
+
+    #[test]
+    fn sixteen_bit_codes_count_from_the_smallest() {
+        let hounsfield = [-1024, 3071, 0, -1000].map(|value: i16| value as u16 ^ 0x8000);
+        let narrowed = from_the_smallest(hounsfield.to_vec(), f64::from(i16::MIN));
+        assert_eq!(narrowed, Narrowed::exact(Scalars::U16(vec![0, 4095, 1024, 24]), -1024.0));
+        assert_eq!(from_the_smallest(vec![], 0.0).intercept, 0.0);
     }
 
     #[test]

@@ -130,7 +130,7 @@ fn info_says_what_the_volume_is() {
     assert_eq!(info["value_range"], serde_json::json!([0.0, 200.0]));
     let counts = info["histogram"]["counts"].as_array().unwrap();
     assert_eq!(counts.iter().filter_map(Value::as_u64).sum::<u64>(), 20 * 24 * 28);
-    for structure in ["volume", "gradients", "octree", "run_lengths", "tables"] {
+    for structure in ["volume", "octree", "run_lengths", "tables"] {
         assert!(info["bytes"][structure].as_u64().unwrap() > 0, "{structure}");
     }
     let text = String::from_utf8(run(&folder, "info", &[]).stdout).unwrap();
@@ -167,10 +167,10 @@ fn bench_reports_every_phase_that_ran() {
         assert!(0.0 <= of("min") && of("min") <= of("median") && of("median") <= of("max"), "{report}");
         assert!(of("min") <= of("mean") && of("mean") <= of("max"), "{report}");
     }
-    for step in ["load", "gradients", "octree", "summed_area_table", "run_lengths"] {
+    for step in ["load", "scanlines", "octree", "gradients", "summed_area_table", "run_lengths"] {
         assert!(report["prepare_ms"][step].as_f64().unwrap() >= 0.0, "{step}");
     }
-    for structure in ["volume", "gradients", "octree", "run_lengths", "tables", "images"] {
+    for structure in ["volume", "octree", "run_lengths", "tables", "images"] {
         assert!(report["bytes"][structure].as_u64().unwrap() > 0, "{structure}");
     }
 }
@@ -184,8 +184,46 @@ fn bench_leaves_out_steps_that_did_not_run() {
     let report: Value = serde_json::from_slice(&fs::read(&out).unwrap()).unwrap();
     let keys = |map: &str| report[map].as_object().unwrap().keys().cloned().collect::<Vec<_>>();
     assert_eq!(keys("frame_ms"), ["composite", "encode", "render", "total"]);
-    assert_eq!(keys("prepare_ms"), ["gradients", "load", "octree"]);
+    assert_eq!(keys("prepare_ms"), ["gradients", "load", "octree", "scanlines"]);
     assert!(!keys("bytes").contains(&"run_lengths".to_owned()));
+}
+
+#[test]
+fn bench_times_the_pre_integration_tables_that_frames_make() {
+    let folder = folder();
+    let out = path(&folder, "bench.json");
+    let few = ["--frames", "2", "--width", "16", "--height", "16", "--json", &out];
+    run(&folder, "bench", &few);
+    let report: Value = serde_json::from_slice(&fs::read(&out).unwrap()).unwrap();
+    assert_eq!(report["algorithm"], "preintegrated");
+    assert!(report["prepare_ms"]["preintegration_table"].as_f64().unwrap() > 0.0, "{report}");
+    assert!(report["bytes"]["run_lengths"].as_u64().unwrap() > 0, "{report}");
+}
+
+#[test]
+fn info_shows_what_a_request_would_take() {
+    let folder = folder();
+    let bytes = |arguments: &[&str]| {
+        let info: Value =
+            serde_json::from_slice(&run(&folder, "info", &[&["--json"], arguments].concat()).stdout).unwrap();
+        info["bytes"]["run_lengths"].as_u64().unwrap()
+    };
+    assert!(bytes(&["--algorithm", "classified"]) > bytes(&[]), "voxels take more than bits");
+}
+
+#[test]
+fn every_option_of_the_api_has_a_flag() {
+    let folder = folder();
+    let out = path(&folder, "out.png");
+    let small = ["-o", &out, "--width", "8", "--height", "8"];
+    run(
+        &folder,
+        "render",
+        &[&small[..], &["--blend", "average", "--window-center", "-20", "--window-width", "9"]].concat(),
+    );
+    run(&folder, "render", &[&small[..], &["--quality", "draft", "--algorithm", "classified"]].concat());
+    let wrong = failure(2, &["render", &path(&folder, "ball.raw"), "--raw", RAW, "-o", &out, "--window-width", "9"]);
+    assert!(wrong.contains("/window"), "{wrong}");
 }
 
 #[test]

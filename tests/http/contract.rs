@@ -6,6 +6,8 @@ use reqwest::Method;
 use serde_yaml_ng::Value;
 use shearwarp::classify::presets;
 use shearwarp::encode::Format;
+use shearwarp::render::Algorithm;
+use shearwarp::service::request::{OPTIONS, RenderRequest};
 use shearwarp::service::router;
 
 use crate::service::{Running, header};
@@ -55,6 +57,105 @@ fn its_lists_of_names_are_those_of_the_program() {
     );
     assert_eq!(names(&schemas["Format"]["enum"]), Format::ALL.map(|format| format.name().to_owned()).into());
     assert_eq!(document()["info"]["version"], env!("CARGO_PKG_VERSION"));
+}
+
+#[test]
+fn its_algorithms_are_those_that_can_be_named_and_those_that_answers_name() {
+    let document = document();
+    let mut named: BTreeSet<_> =
+        [Algorithm::Classified, Algorithm::FastClassification, Algorithm::Preintegrated, Algorithm::Raycast]
+            .map(|algorithm| algorithm.name().to_owned())
+            .into();
+    assert_eq!(names(&document["components"]["headers"]["X-Render-Algorithm"]["schema"]["enum"]), named);
+    named.insert("auto".into());
+    assert_eq!(names(&document["components"]["schemas"]["Algorithm"]["enum"]), named);
+}
+
+#[test]
+fn its_query_parameters_are_the_short_names() {
+    let document = document();
+    let expected: BTreeSet<_> = OPTIONS.iter().map(|option| option.name.to_owned()).collect();
+    for extension in ["png", "jpg", "jpeg", "webp", "raw"] {
+        let listed = &document["paths"][format!("/v1/volumes/{{id}}/frame.{extension}")]["parameters"];
+        let parameters = listed.as_sequence().unwrap().iter().map(|parameter| resolved(&document, parameter));
+        let queried: BTreeSet<_> = parameters
+            .filter(|parameter| parameter["in"] == "query")
+            .map(|parameter| parameter["name"].as_str().unwrap().to_owned())
+            .collect();
+        assert_eq!(queried, expected, "{extension}");
+    }
+}
+
+/// A schema or parameter, or what its `$ref` leads to.
+fn resolved<'a>(document: &'a Value, value: &'a Value) -> &'a Value {
+    match value.get("$ref") {
+        None => value,
+        Some(reference) => {
+            let path = reference.as_str().unwrap().strip_prefix("#/").unwrap();
+            resolved(document, path.split('/').fold(document, |at, key| &at[key]))
+        }
+    }
+}
+
+/// Values of a property as JSON, each with whether the contract takes it.
+fn samples(schema: &Value) -> Vec<(String, bool)> {
+    let number = |key: &str| schema.get(key).map(|bound| bound.as_f64().unwrap());
+    let mut samples = vec![("null".into(), false), ("[[]]".into(), false)];
+    if let Some(list) = schema.get("enum") {
+        samples.extend(names(list).iter().map(|name| (format!("{name:?}"), true)));
+        samples.push(("\"nonsense\"".into(), false));
+    }
+    for (inclusive, exclusive, outwards) in
+        [("minimum", "exclusiveMinimum", -1.0), ("maximum", "exclusiveMaximum", 1.0)]
+    {
+        if let Some(end) = number(inclusive) {
+            samples.extend([(end.to_string(), true), ((end + outwards).to_string(), false)]);
+        }
+        if let Some(end) = number(exclusive) {
+            samples.extend([(end.to_string(), false), ((end - 0.01 * outwards).to_string(), true)]);
+        }
+    }
+    samples
+}
+
+/// At the ends of every range and for every name, schema and program agree.
+#[test]
+fn requests_are_taken_and_refused_as_its_schemas_say() {
+    let document = document();
+    let schemas = &document["components"]["schemas"];
+    let mut tried = 0;
+    for (schema, before, after) in [
+        (&schemas["RenderRequest"], "", ""),
+        (&schemas["Preintegration"], r#""preintegration": {"#, "}"),
+        (&schemas["DepthCueing"], r#""depth_cueing": {"#, "}"),
+        (&schemas["Window"], r#""blend": "average", "window": {"#, "}"),
+        (&schemas["Shading"], r#""shading": {"#, "}"),
+        (&schemas["Camera"]["oneOf"][0], r#""camera": {"#, "}"),
+        (&schemas["Image"]["oneOf"][0], r#""image": {"#, "}"),
+    ] {
+        for (name, property) in schema["properties"].as_mapping().unwrap() {
+            for (value, taken) in samples(resolved(&document, property)) {
+                let text = format!("{{{before}{:?}: {value}{after}}}", name.as_str().unwrap());
+                // The largest side is a limit of the service, not of the request.
+                if name == "width" || name == "height" {
+                    continue;
+                }
+                assert_eq!(RenderRequest::from_json(text.as_bytes()).is_ok(), taken, "{text}");
+                tried += 1;
+            }
+        }
+    }
+    assert!(tried > 100, "{tried}");
+}
+
+#[test]
+fn its_examples_are_requests() {
+    let document = document();
+    let body = &document["paths"]["/v1/volumes/{id}/frame"]["post"]["requestBody"]["content"]["application/json"];
+    for (name, example) in body["examples"].as_mapping().unwrap() {
+        let text = serde_json::to_vec(&example["value"]).unwrap();
+        assert!(RenderRequest::from_json(&text).is_ok(), "{name:?}");
+    }
 }
 
 #[test]

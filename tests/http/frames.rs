@@ -136,6 +136,24 @@ async fn a_body_is_optional_and_may_name_the_reference_algorithm() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn either_table_of_slabs_may_be_asked_for() {
+    let service = Running::start("").await;
+    let mut tags = std::collections::HashSet::new();
+    for table in ["2d", "1d"] {
+        for quality in ["draft", "standard", "high"] {
+            let body = format!(
+                r#"{{"quality": "{quality}", "preintegration": {{"table": "{table}"}}, "image": {{"format": "raw", "width": 32, "height": 32}}}}"#
+            );
+            let response = service.post("/v1/volumes/ball/frame", &body).await;
+            assert_eq!(response.status(), 200, "{body}");
+            tags.insert(header(&response, "etag").to_owned());
+            assert!(response.bytes().await.unwrap().iter().any(|&byte| byte > 20), "{body} shows nothing");
+        }
+    }
+    assert_eq!(tags.len(), 6, "none is taken for another");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_sane_request_id_is_kept_and_another_replaced() {
     let service = Running::start("").await;
     let response = service.request(Method::GET, "/healthz").header("x-request-id", "mine-1").send().await.unwrap();

@@ -2,6 +2,7 @@
 
 mod cache_folder;
 mod contract;
+mod encodings;
 mod errors;
 mod frames;
 mod overload;

@@ -105,6 +105,15 @@ impl Running {
         panic!("expected {wanted:?} jobs to run and to wait, got {got:?}");
     }
 
+    /// Waits until a gauge is as wanted.
+    pub async fn gauge(&self, name: &str, wanted: impl Fn(f64) -> bool) {
+        let start = Instant::now();
+        while !wanted(self.metric(name).await) {
+            assert!(start.elapsed() < PATIENCE, "{name} never became as wanted");
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    }
+
     /// A gauge. (Counters are the process's: all tests of this binary share them.)
     pub async fn metric(&self, name: &str) -> f64 {
         let text = self.get("/metrics").await.text().await.unwrap();

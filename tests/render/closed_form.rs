@@ -75,12 +75,11 @@ fn the_ray_caster_meets_a_uniform_box_to_rounding() {
 /// the rays of intermediate pixels less than a voxel away along either axis, so that a pixel lies
 /// between the shortest and the longest of its neighbourhood.
 #[test]
-fn classified_meets_a_uniform_box_to_a_slice_and_a_voxel() {
+fn slices_and_slabs_meet_a_uniform_box_to_a_slice_and_a_voxel() {
     let scene = Prepared::new(volume([40, 48, 36], [1.0, 1.2, 1.5], |_| 9), medium(OPACITY, 1.0), 0.0);
     let volume = scene.prepared.volume();
     for orbit in views() {
         let view = scene.view(&Camera::Orbit(orbit.clone()), SIZE, SIZE);
-        let image = scene.frame(&view, &plain(Algorithm::Classified));
         let index_from_world = volume.world_from_index().inverse();
         let along = index_from_world.transform_vector3(view.forward()).abs();
         let slice_distance = 1.0 / along.max_element();
@@ -94,14 +93,17 @@ fn classified_meets_a_uniform_box_to_a_slice_and_a_voxel() {
             let end = if longest > 0.0 { slice_distance } else { 0.0 };
             (shortest - end, longest + end)
         };
-        assert_alpha(&image, lengths, &format!("{orbit:?}"));
+        for algorithm in [Algorithm::Classified, Algorithm::FastClassification, Algorithm::Preintegrated] {
+            let image = scene.frame(&view, &plain(algorithm));
+            assert_alpha(&image, lengths, &format!("{algorithm:?} {orbit:?}"));
+        }
     }
 }
 
 /// A ball's surface is smoothed over 1.5 voxels and then resampled, so its radius is known to a voxel
 /// and a half; inside, the chords are those of the ball.
 #[test]
-fn both_algorithms_meet_a_ball_to_a_voxel_and_a_half_of_radius() {
+fn every_algorithm_meets_a_ball_to_a_voxel_and_a_half_of_radius() {
     let (centre, radius) = (DVec3::splat(24.0), 18.0);
     let ball = volume([49; 3], [1.0; 3], |at| {
         (((radius - at.distance(centre)) / 1.5 + 0.5).clamp(0.0, 1.0) * 200.0).round() as u8
@@ -111,7 +113,7 @@ fn both_algorithms_meet_a_ball_to_a_voxel_and_a_half_of_radius() {
     let pixel = 2.0 * scene.prepared.volume().radius() / f64::from(SIZE);
     for orbit in views() {
         let view = scene.view(&Camera::Orbit(orbit.clone()), SIZE, SIZE);
-        for algorithm in [Algorithm::Raycast, Algorithm::Classified] {
+        for algorithm in [Algorithm::Raycast, Algorithm::Classified, Algorithm::Preintegrated] {
             let image = scene.frame(&view, &plain(algorithm));
             let lengths = |at: DVec2| {
                 let away = at.distance(DVec2::splat(f64::from(SIZE) / 2.0)) * pixel;

@@ -4,10 +4,11 @@ use std::fs;
 use std::path::Path;
 
 /// A folder (or file) of `src/` and the modules of the crate that it may name.
-const MAY_NAME: [(&str, &[&str]); 7] = [
-    ("volume", &["volume"]),
-    ("classify", &["classify", "volume"]),
-    ("render", &["render", "classify", "volume", "raycast"]),
+const MAY_NAME: [(&str, &[&str]); 8] = [
+    ("simd.rs", &[]),
+    ("volume", &["volume", "simd"]),
+    ("classify", &["classify", "volume", "simd"]),
+    ("render", &["render", "classify", "volume", "raycast", "simd"]),
     ("raycast.rs", &["render", "classify", "volume"]),
     ("raycast", &["render", "classify", "volume"]),
     ("encode", &["encode", "render"]),

@@ -1,6 +1,7 @@
 //! Frames against closed forms, against slow twins bit for bit, and against each other.
 
 mod closed_form;
+mod draft;
 mod equivalence;
 mod golden;
 mod invariance;

@@ -3,7 +3,8 @@
 use glam::{DVec2, DVec3};
 use shearwarp::classify::{Classification, Color, ControlPoint, Encodings, Purpose, TransferFunction};
 use shearwarp::render::{
-    Algorithm, Background, Camera, Cancel, Image, Projection, Quality, Scene, Settings, View, render,
+    Algorithm, Background, BufferSlice, Camera, Cancel, Image, Preintegration, Projection, Quality, Scene, Settings,
+    View, render,
 };
 use shearwarp::volume::{PreparedVolume, Volume};
 
@@ -56,6 +57,25 @@ impl Prepared {
         };
         render(&scene, view, settings, &Cancel::default()).unwrap().0
     }
+}
+
+/// The frame of `preintegrated` or `classified`, after it was compared with what may change no bit of it: its
+/// naive twin, frames without encodings and with the other buffer slice, other numbers of threads.
+pub fn same_bits(scene: &Prepared, view: &View, settings: &Settings) -> Image {
+    let classification = &scene.classified[usize::from(settings.algorithm == Algorithm::Preintegrated)].0;
+    let frame = scene.frame(view, settings);
+    let naive = scene.frame(view, &Settings { skipping: false, ..settings.clone() });
+    assert!(frame == naive, "differs from its twin: {view:?} {settings:?}");
+    let unencoded = scene.frame_with(classification, None, view, settings);
+    assert!(frame == unencoded, "encodings change {view:?} {settings:?}");
+    let preintegration = Preintegration { buffer: BufferSlice::Image, ..settings.preintegration };
+    let image_buffer = scene.frame(view, &Settings { preintegration, ..settings.clone() });
+    assert!(frame == image_buffer, "the buffer slice changes {view:?} {settings:?}");
+    for threads in [1, 2, 7] {
+        let on = on_threads(threads, || scene.frame(view, settings));
+        assert!(frame == on, "{threads} threads change {view:?} {settings:?}");
+    }
+    frame
 }
 
 /// Settings without shading over a transparent background, so that alpha can be read.

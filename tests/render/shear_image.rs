@@ -5,11 +5,11 @@ use proptest::prelude::*;
 use shearwarp::classify::{GradientPoint, TransferFunction};
 use shearwarp::render::{
     Algorithm, Background, Blend, Camera, DepthCueing, Image, IntensityProjection, Light, LookAt, Lookup,
-    OpacityCorrection, Orbit, Preintegration, Projection, Quality, Settings, Shading, Window,
+    OpacityCorrection, Orbit, Preintegration, Projection, Quality, Settings, Shading, SlabTable, Window,
 };
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
-use crate::scenes::{ANGLES, Prepared, medium, on_threads, plain, transfer};
+use crate::scenes::{ANGLES, Prepared, medium, plain, same_bits, transfer};
 
 /// Smooth lumps with empty space between them.
 fn lumps(dims: [usize; 3], spacing: [f64; 3]) -> Volume {
@@ -63,26 +63,15 @@ fn all_settings() -> Vec<Settings> {
             preintegration: options(Lookup::Bilinear, OpacityCorrection::Off),
             ..high()
         },
+        Settings {
+            shading: Some(Shading::default()),
+            preintegration: Preintegration { table: SlabTable::OneDimensional, ..Preintegration::of(Quality::High) },
+            ..high()
+        },
         projection(IntensityProjection::Maximum),
         projection(IntensityProjection::Minimum),
         projection(IntensityProjection::Average),
     ]
-}
-
-/// The frame, after it was compared with its twins.
-fn same_bits(scene: &Prepared, camera: &Camera, settings: &Settings) -> Image {
-    let view = scene.view(camera, 37, 30);
-    let (classification, _) = &scene.classified[1];
-    let frame = scene.frame(&view, settings);
-    let all = scene.frame(&view, &Settings { skipping: false, ..settings.clone() });
-    assert!(frame == all, "skipping changes {camera:?} {settings:?}");
-    let by_leaves = scene.frame_with(classification, None, &view, settings);
-    assert!(frame == by_leaves, "encodings change {camera:?} {settings:?}");
-    for threads in [1, 2, 7] {
-        let on = on_threads(threads, || scene.frame(&view, settings));
-        assert!(frame == on, "{threads} threads change {camera:?} {settings:?}");
-    }
-    frame
 }
 
 #[test]
@@ -95,7 +84,7 @@ fn neither_skipping_nor_encodings_nor_threads_change_a_bit() {
         for projection in [Projection::Parallel, Projection::Perspective] {
             for angles in ANGLES {
                 for settings in all_settings() {
-                    let frame = same_bits(&scene, &orbit(projection, angles), &settings);
+                    let frame = same_bits(&scene, &scene.view(&orbit(projection, angles), 37, 30), &settings);
                     assert!(frame.pixels.iter().any(|&p| p > 0), "an empty picture at {angles:?}");
                 }
             }
@@ -114,7 +103,7 @@ proptest! {
         perspective in any::<bool>(),
         low in 0.0f64..200.0,
         opacity in 0.05f64..1.0,
-        which in 0usize..6,
+        which in 0usize..7,
     ) {
         let scalars = (0..dims.iter().product()).map(|at: usize| codes[at / 5 % 97]).collect();
         let report = ImportReport::plain("test", ScalarType::U8);
@@ -123,7 +112,7 @@ proptest! {
         let function = transfer(&[(low, 0.0), (low + 20.0, opacity), (255.0, opacity / 2.0)]);
         let scene = Prepared::new(volume, function, 0.0);
         let projection = if perspective { Projection::Perspective } else { Projection::Parallel };
-        same_bits(&scene, &orbit(projection, angles), &all_settings()[which]);
+        same_bits(&scene, &scene.view(&orbit(projection, angles), 37, 30), &all_settings()[which]);
     }
 }
 
@@ -187,7 +176,7 @@ fn projections_are_the_ray_casters() {
     let scene = Prepared::new(lumps([40, 44, 36], [1.0, 0.8, 1.3]), surface(), 0.0);
     for projection in [Projection::Parallel, Projection::Perspective] {
         let view = scene.view(&orbit(projection, (35.0, 20.0)), 48, 48);
-        for settings in &all_settings()[3..] {
+        for settings in &all_settings()[4..] {
             let settings = Settings {
                 preintegration: Preintegration { samples_per_voxel: 8, ..settings.preintegration },
                 ..settings.clone()
@@ -228,7 +217,8 @@ fn a_uniform_box_has_its_closed_form_from_everywhere() {
                 leave = leave.min(ends[0].max(ends[1]));
             }
             let expected = 255.0 * (1.0 - (-tau * (leave - enter).max(0.0)).exp());
-            assert!((f64::from(pixel[3]) - expected).abs() <= 0.55, "{camera:?} {at}: {} {expected}", pixel[3]);
+            // Rounding to 8 bits, and a tenth of a step for lengths of slabs, which are rounded too.
+            assert!((f64::from(pixel[3]) - expected).abs() <= 0.6, "{camera:?} {at}: {} {expected}", pixel[3]);
         }
     }
 }

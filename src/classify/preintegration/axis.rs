@@ -24,6 +24,7 @@
 
 use glam::DVec4;
 
+use super::fixed::{cell, split};
 use super::medium::Medium;
 
 /// Scalar codes -> positions on a table's axis.
@@ -32,12 +33,16 @@ pub struct SlabAxis {
     first_code: f32,
     entries: usize,
     knots_per_code: f32,
-    /// Positions at equidistant codes from the first to the last or beyond; none where entries are codes.
+    /// Positions at equidistant codes from the first to the last or beyond, and once more the last one; none
+    /// where entries are codes.
     knots: Vec<f32>,
 }
 
 /// Intervals between knots at most: one for each code of 12 bits; 16 kB.
 const KNOTS: usize = 4096;
+
+/// Rounding of a position, in entries: below what [`split`] rounds positions to.
+const POSITION_ROUNDING: f32 = 1.0 / 4096.0;
 
 /// Density of entries everywhere, as a share of the mean density asked for.
 const EVENLY: f64 = 0.1;
@@ -67,30 +72,22 @@ impl SlabAxis {
     /// Position of a (fractional) code on the axis, 0..=entries - 1.
     #[inline(always)]
     pub fn coordinate(&self, code: f32) -> f32 {
-        if self.knots.is_empty() { code - self.first_code } else { self.between_knots(code) }
+        if self.knots.is_empty() { self.above_first(code) } else { self.between_knots(code) }
     }
 
-    /// Positions of several codes.
+    /// At least 0: rounding may leave a scalar a hair below the first code.
     #[inline(always)]
-    pub fn coordinates<const N: usize>(&self, mut codes: [f32; N]) -> [f32; N] {
-        if self.knots.is_empty() {
-            for code in &mut codes {
-                *code -= self.first_code;
-            }
-        } else {
-            for code in &mut codes {
-                *code = self.between_knots(*code);
-            }
-        }
-        codes
+    fn above_first(&self, code: f32) -> f32 {
+        let code = code - self.first_code;
+        if code > 0.0 { code } else { 0.0 }
     }
 
     #[inline(always)]
     fn between_knots(&self, code: f32) -> f32 {
-        let at = (code - self.first_code) * self.knots_per_code;
-        let knot = (at as i32).clamp(0, self.knots.len() as i32 - 2);
-        let ends = &self.knots[knot as usize..][..2];
-        ends[0] + (ends[1] - ends[0]) * (at - knot as f32)
+        let (knot, share) = cell((code - self.first_code) * self.knots_per_code);
+        // Always there: codes are those of the volume.
+        let Some(ends) = self.knots.get(knot..knot + 2) else { return 0.0 };
+        ends[0] + (ends[1] - ends[0]) * share
     }
 
     /// Entries along the axis.
@@ -106,13 +103,22 @@ impl SlabAxis {
         }
         let mut knot = 0;
         let code = |entry: usize| {
-            while knot + 2 < self.knots.len() && self.knots[knot + 1] <= entry as f32 {
+            while knot + 3 < self.knots.len() && self.knots[knot + 1] <= entry as f32 {
                 knot += 1;
             }
             let [low, high] = [self.knots[knot], self.knots[knot + 1]].map(f64::from);
             first + (knot as f64 + (entry as f64 - low) / (high - low)) / f64::from(self.knots_per_code)
         };
         (0..self.entries).map(code).collect()
+    }
+
+    /// The codes of the entries that are read for a scalar within `rounding` of `code`.
+    pub(super) fn reach(&self, codes: &[f64], code: f32, rounding: f32) -> (f64, f64) {
+        let last = (self.entries - 1) as f32;
+        let position_rounding = if self.knots.is_empty() { 0.0 } else { POSITION_ROUNDING };
+        let at = |code: f32, rounding: f32| split((self.coordinate(code) + rounding).clamp(0.0, last));
+        let (low, high) = (at(code - rounding, -position_rounding), at(code + rounding, position_rounding));
+        (codes[low.0], codes[high.0 + usize::from(high.1 > 0.0)])
     }
 
     /// Bytes in memory.
@@ -130,12 +136,9 @@ fn density(medium: &Medium, low: f64, high: f64, length: f64) -> Vec<(f64, f64)>
         (color * extinction).extend(extinction) * length
     };
     let mut running = vec![DVec4::ZERO];
-    let mut stretches = Vec::new();
     for ends in places.windows(2) {
-        stretches.clear();
-        medium.stretches(ends[0].0, ends[1].0, &mut stretches);
-        let passed = stretches.iter().map(|s| ((s.colors[0] + s.colors[1]) * 0.5 * s.depth).extend(s.depth) * length);
-        running.push(running[running.len() - 1] + passed.sum::<DVec4>());
+        let passed = medium.light(ends[0].0, ends[1].0) * length;
+        running.push(running[running.len() - 1] + passed);
     }
     let at_place = |(at, &(code, room)): (usize, &(f64, f64))| {
         let (value, slope) = (rate(code), (rate(code + room) - rate(code - room)) / (2.0 * room));
@@ -205,7 +208,8 @@ fn masses(density: &[(f64, f64)], low: f64, step: f64, intervals: usize) -> Vec<
     masses.iter().map(|mass| mass + if mean > 0.0 { EVENLY * mean } else { 1.0 }).collect()
 }
 
-/// Positions from 0 to `last` that rise in proportion to `masses`, but by no more than `most` at a time.
+/// Positions from 0 to `last` that rise in proportion to `masses`, but by no more than `most` at a time; the
+/// last one twice.
 fn positions(masses: &[f64], most: f64, last: f64) -> Vec<f32> {
     let mut scale = 0.0;
     for _ in 0..16 {
@@ -227,5 +231,6 @@ fn positions(masses: &[f64], most: f64, last: f64) -> Vec<f32> {
         position += step;
         (position * last / total) as f32
     }));
+    positions.push(last as f32);
     positions
 }

@@ -16,13 +16,17 @@
 //! colour are kept, the error is of third order in the stretch's depth and first in what curvature
 //! the colour has over it, which [`PARTS`] keeps small.
 
-use glam::DVec3;
+use glam::{DVec3, DVec4};
 
 use crate::classify::transfer::{ControlPoint, MAX_OPACITY, TransferFunction};
 use crate::volume::Volume;
 
 /// Stretches that a change of colour from 0 to 1 is cut into, where it happens within an interval.
 const PARTS: f64 = 32.0;
+
+/// Gauss's rule of three points on 0..=1: where, and with what weight.
+const GAUSS: [(f64, f64); 3] =
+    [(0.112_701_665_379_258_3, 5.0 / 18.0), (0.5, 8.0 / 18.0), (0.887_298_334_620_741_7, 5.0 / 18.0)];
 
 /// Part of the scalar axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -74,10 +78,45 @@ impl Medium {
         [low].into_iter().chain(inner).chain([high]).collect()
     }
 
+    /// Bytes in memory.
+    pub fn bytes(&self) -> u64 {
+        size_of_val(&self.pieces[..]) as u64
+    }
+
     /// Extinction per mm and colour at a code. At a step, those of its upper side.
     pub fn at(&self, code: f64) -> (f64, DVec3) {
         let piece = &self.pieces[self.pieces.partition_point(|piece| piece.to <= code)];
         (-(-piece.opacity(code)).ln_1p() / self.reference, piece.color(code))
+    }
+
+    /// The parts of the scalar axis that are not transparent, in ascending order, in codes; and whether the
+    /// lower end itself shows. The upper end does not, unless it is another's lower one.
+    pub fn visible(&self) -> impl Iterator<Item = (f64, f64, bool)> {
+        let visible = self.pieces.iter().filter(|piece| piece.opacities != [0.0; 2]);
+        visible.map(|piece| (piece.from, piece.to, piece.opacities[0] > 0.0))
+    }
+
+    /// Mean of a function of the medium between two codes, by Gauss's rule of three points for each piece.
+    pub fn mean(&self, from: f64, to: f64, integrand: impl Fn(f64) -> DVec4) -> DVec4 {
+        let first = self.pieces.partition_point(|piece| piece.to <= from);
+        let within = self.pieces[first..].iter().take_while(|piece| piece.from < to);
+        let parts = within.filter(|piece| piece.opacities != [0.0; 2]).map(|piece| {
+            let (low, high) = (from.max(piece.from), to.min(piece.to));
+            let sum: DVec4 = GAUSS.iter().map(|&(at, weight)| integrand(low + (high - low) * at) * weight).sum();
+            sum * ((high - low) / (to - from))
+        });
+        parts.sum()
+    }
+
+    /// Integral of colour times extinction between two codes, and of extinction: 1 / mm times codes.
+    pub fn light(&self, from: f64, to: f64) -> DVec4 {
+        let mut stretches = Vec::new();
+        self.stretches(from, to, &mut stretches);
+        let light = |stretch: &Stretch| {
+            let mean = (stretch.colors[0] + stretch.colors[1]) * 0.5;
+            (mean * stretch.depth).extend(stretch.depth)
+        };
+        stretches.iter().map(light).sum()
     }
 
     /// The stretches between two codes, in ascending order.
@@ -152,10 +191,9 @@ impl Piece {
             return Stretch { depth, colors: self.colors };
         }
         // Where along the piece its light comes from: the mean, and the mean weighted by the share of
-        // the depth in front, by Gauss's rule of three points.
-        let half = 0.6f64.sqrt() / 2.0;
+        // the depth in front.
         let (mut light, mut at, mut at_depth) = (0.0, 0.0, 0.0);
-        for (share, weight) in [(0.5 - half, 5.0 / 18.0), (0.5, 8.0 / 18.0), (0.5 + half, 5.0 / 18.0)] {
+        for (share, weight) in GAUSS {
             let opacity = low + (high - low) * share;
             let weight = weight * -(-opacity).ln_1p();
             light += weight;

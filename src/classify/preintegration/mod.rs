@@ -8,36 +8,65 @@
 //! color(f, b) = int_0^1 tau(s(w)) c(s(w)) exp(-d * int_0^w tau) d dw     premultiplied
 //! ```
 //!
-//! The transfer function is integrated where the table is made (`medium`), however sharp its peaks
-//! are, and not sampled where the slices happen to be.
+//! The transfer function is integrated where the table is made (`medium.rs`), however sharp its peaks
+//! are, and not sampled where the slices happen to be. What does not depend on the length is integrated
+//! once (`ranges.rs`), so that a table for another view's slabs takes a fraction of a millisecond; entries
+//! lie where they matter (`axis.rs`). For 12 to 16 bits there is a table over one scalar, too
+//! (`running.rs`): made faster still, and less exact.
 
 mod axis;
+mod fixed;
+mod kept;
 mod medium;
 mod ranges;
+mod running;
 mod table;
 #[cfg(test)]
 mod tests;
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use glam::Vec4;
 
 use super::transfer::TransferFunction;
 use crate::volume::Volume;
 pub use axis::SlabAxis;
+use kept::{KEPT, Kept};
 use medium::Medium;
 use ranges::Ranges;
-pub use table::SlabTable;
+use running::Scale;
+pub use running::{OneDimensional, RunningSums};
+pub use table::{Bilinear, Nearest, SlabTable};
 
-/// What all slab tables of a volume under a transfer function share, and the tables made so far.
+/// What all slab tables of a volume under a transfer function share, and the newest of those tables.
 #[derive(Debug)]
 pub struct SlabTables {
+    medium: Medium,
     axis: Arc<SlabAxis>,
+    scale: Scale,
     /// Codes at which a slab may show something, one flag for each.
     visible: Vec<bool>,
     ranges: Ranges,
-    made: Mutex<HashMap<(Form, u32), Arc<SlabTable>>>,
+    tables: Kept<(Form, u32), SlabTable>,
+    sums: Kept<(Form, u32), RunningSums>,
+}
+
+/// A way to read slabs.
+pub trait Slabs: Copy + Send + Sync {
+    /// Position of a (fractional) code on the axis of the table.
+    fn coordinate(self, code: f32) -> f32;
+
+    /// Positions of several codes: faster than one by one.
+    #[inline(always)]
+    fn coordinates<const N: usize>(self, mut codes: [f32; N]) -> [f32; N] {
+        for code in &mut codes {
+            *code = self.coordinate(*code);
+        }
+        codes
+    }
+
+    /// The slab between two positions.
+    fn slab(self, front: f32, back: f32) -> Vec4;
 }
 
 /// What a table's entries hold.
@@ -65,9 +94,6 @@ impl Form {
 /// Rounding of a sampled scalar: what is resampled from voxels of code `c` alone is within `c * ROUNDING`.
 const ROUNDING: f32 = 1e-5;
 
-/// Rounding of a position on the axis, below what [`table`] rounds positions to.
-const POSITION_ROUNDING: f32 = 1.0 / 4096.0;
-
 impl SlabTables {
     /// Entries along an axis at most.
     pub const MAX_ENTRIES: usize = 4096;
@@ -76,84 +102,75 @@ impl SlabTables {
     /// [`Self::MAX_ENTRIES`]); no more than the volume has codes.
     pub fn new(volume: &Volume, transfer: &TransferFunction, entries: usize) -> Self {
         let medium = Medium::new(volume, transfer);
-        let codes @ (_, high) = volume.code_range();
+        let codes @ (_, last) = volume.code_range();
         let axis = SlabAxis::new(&medium, codes, entries.clamp(2, Self::MAX_ENTRIES), volume.smallest_spacing());
         let ranges = Ranges::new(&medium, axis.codes());
-        let last = (axis.entries() - 1) as f32;
-        let visible = (0..=high)
-            .map(|code| {
-                let position = |share: f32| axis.coordinate(f32::from(code) * share);
-                let first = table::entry_before((position(1.0 - ROUNDING) - POSITION_ROUNDING).max(0.0));
-                let end = table::entry_after((position(1.0 + ROUNDING) + POSITION_ROUNDING).clamp(0.0, last));
-                ranges.shows(first, end)
-            })
-            .collect();
-        Self { axis: Arc::new(axis), visible, ranges, made: Mutex::default() }
+        let scale = Scale::new(codes);
+        let reach = |code: u16| {
+            let (code, rounding) = (f32::from(code), f32::from(code) * ROUNDING);
+            let (two, one) = (axis.reach(ranges.codes(), code, rounding), scale.reach(code, rounding));
+            (two.0.min(one.0), two.1.max(one.1))
+        };
+        let visible = visible_codes(&medium, last, reach);
+        Self { visible, axis: Arc::new(axis), medium, scale, ranges, tables: Kept::new(), sums: Kept::new() }
     }
 
     /// A flag for each code, 0 up to the volume's largest: true where a slab that reaches the code may
-    /// show something, as its table is read, neighbouring entries included. A slab between whose
-    /// two scalars no flag is set is exactly zero.
+    /// show something, as tables of either kind are read, neighbouring entries included. A slab
+    /// between whose two scalars no flag is set is exactly zero.
     pub fn visible_codes(&self) -> &[bool] {
         &self.visible
     }
 
-    /// The table for slabs of `length` mm, made if it is not there yet.
+    /// The table for slabs of `length` mm (above 0), made if it is not there yet. It is for the length that
+    /// [`SlabTable::length`] tells: `length` to ten binary digits.
     pub fn table(&self, form: Form, length: f32) -> Arc<SlabTable> {
-        let key = (form, length.to_bits());
-        if let Some(made) = self.made.lock().expect("no panic while it is held").get(&key) {
-            return Arc::clone(made);
-        }
-        let table = Arc::new(SlabTable::new(&self.ranges, Arc::clone(&self.axis), form, length));
-        self.made.lock().expect("no panic while it is held").insert(key, Arc::clone(&table));
-        table
+        let length = rounded(length);
+        let make = || SlabTable::new(&self.ranges, Arc::clone(&self.axis), form, length);
+        self.tables.get((form, length.to_bits()), make)
     }
 
-    /// Bytes in memory.
+    /// The running sums for slabs of `length` mm (above 0), made if they are not there yet; rounded as
+    /// tables are.
+    pub fn running_sums(&self, form: Form, length: f32) -> Arc<RunningSums> {
+        let length = rounded(length);
+        let make = || RunningSums::new(&self.medium, self.scale, form, length);
+        self.sums.get((form, length.to_bits()), make)
+    }
+
+    /// Bytes in memory, once as many tables were made as are kept.
     pub fn bytes(&self) -> u64 {
-        let made = self.made.lock().expect("no panic while it is held");
-        let tables: u64 = made.values().map(|table| table.bytes()).sum();
-        tables + self.visible.len() as u64 + self.ranges.bytes() + self.axis.bytes()
+        let shared = self.medium.bytes() + self.axis.bytes() + self.ranges.bytes() + self.visible.len() as u64;
+        shared + KEPT as u64 * (SlabTable::bytes(self.axis.entries()) + RunningSums::bytes(self.scale))
     }
 }
 
-/// A way to read slabs.
-pub trait Slabs: Copy + Send + Sync {
-    /// Position of a (fractional) code on the axis of the table.
-    fn coordinate(self, code: f32) -> f32;
-
-    /// The slab between two positions.
-    fn slab(self, front: f32, back: f32) -> Vec4;
+/// The length that a table is made for: to [`LENGTH_BITS`] binary digits, so that views that differ by
+/// little share a table, and lengths such as 1 or 0.75 are kept exactly.
+///
+/// A length that is wrong by a share `e` of itself makes all optical depths wrong by `e`, so that of a
+/// ray of depth `u` the opacity errs by `u exp(-u) e`, which is never above `e / e^1`: with `e` = 2^-10
+/// a tenth of what 8 bits tell apart, however many slabs there are.
+fn rounded(length: f32) -> f32 {
+    let dropped = f32::MANTISSA_DIGITS - LENGTH_BITS;
+    f32::from_bits((length.to_bits() + (1 << (dropped - 1))) >> dropped << dropped)
 }
 
-/// The nearest entry.
-#[derive(Clone, Copy, Debug)]
-pub struct Nearest<'a>(pub &'a SlabTable);
+/// Binary digits of a table's length.
+const LENGTH_BITS: u32 = 10;
 
-impl Slabs for Nearest<'_> {
-    #[inline(always)]
-    fn coordinate(self, code: f32) -> f32 {
-        self.0.axis().coordinate(code)
+/// Flags for codes from 0 to `last`: whether anything shows between the two codes that each of them
+/// reaches, which must rise with the code.
+fn visible_codes(medium: &Medium, last: u16, reach: impl Fn(u16) -> (f64, f64)) -> Vec<bool> {
+    let mut flags = vec![false; usize::from(last) + 1];
+    let codes: Vec<u16> = (0..=last).collect();
+    for (from, to, closed) in medium.visible() {
+        let first = codes.partition_point(|&code| {
+            let (_, high) = reach(code);
+            if closed { high < from } else { high <= from }
+        });
+        let end = codes.partition_point(|&code| reach(code).0 < to);
+        flags[first..end.max(first)].fill(true);
     }
-
-    #[inline(always)]
-    fn slab(self, front: f32, back: f32) -> Vec4 {
-        self.0.nearest(front, back)
-    }
-}
-
-/// Between four entries.
-#[derive(Clone, Copy, Debug)]
-pub struct Bilinear<'a>(pub &'a SlabTable);
-
-impl Slabs for Bilinear<'_> {
-    #[inline(always)]
-    fn coordinate(self, code: f32) -> f32 {
-        self.0.axis().coordinate(code)
-    }
-
-    #[inline(always)]
-    fn slab(self, front: f32, back: f32) -> Vec4 {
-        self.0.bilinear(front, back)
-    }
+    flags
 }

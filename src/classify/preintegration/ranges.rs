@@ -117,10 +117,9 @@ impl Ranges {
         Self { ranges: ranges.collect(), codes, stretches, starts, media }
     }
 
-    /// True where something shows between two entries, both included.
-    pub fn shows(&self, first: usize, last: usize) -> bool {
-        self.media[first..=last].iter().any(|medium| medium.w > 0.0)
-            || (first < last && self.ranges[first][last - first - 1].mean.w > 0.0)
+    /// Code of each entry.
+    pub fn codes(&self) -> &[f64] {
+        &self.codes
     }
 
     /// Bytes in memory.
@@ -183,8 +182,10 @@ impl Range {
     fn composite(&self, depth: f32, [up, down]: &mut [Vec4; 2]) {
         let [opacity, behind] = light(depth);
         let (even, odd) = (self.mean * opacity, self.tilt * (2.0 * behind - opacity));
-        *up = over(*up, (even + odd).with_w(opacity));
-        *down = over((even - odd).with_w(opacity), *down);
+        // A linear colour may leave 0..=1 where the true one does not.
+        let light = |light: Vec4| light.clamp(Vec4::ZERO, Vec4::splat(opacity)).with_w(opacity);
+        *up = over(*up, light(even + odd));
+        *down = over(light(even - odd), *down);
     }
 }
 
@@ -200,8 +201,8 @@ fn over(front: Vec4, back: Vec4) -> Vec4 {
 /// the nearer one. All terms are positive, so that small depths lose no digits, and there is no
 /// exponential whose last bits a library might choose.
 fn light(depth: f32) -> [f32; 2] {
-    // No f32 tells a depth of 32 from more.
-    let mut x = depth.min(32.0);
+    // A deep slab is opaque, but how far the light comes from still falls with its depth.
+    let mut x = depth.min(f32::MAX);
     let mut doublings = 0;
     while x > 0.25 {
         x *= 0.5;

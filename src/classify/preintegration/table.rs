@@ -1,46 +1,33 @@
-//! A table of slabs by front and back scalar, and how it is read.
+//! A table of slabs by front and back scalar, and how it is read (Schulze et al. 2003).
 //!
+//! Reading is what the innermost loops do once a sample: two positions are taken apart, four entries
+//! loaded and interpolated. What is interpolated is premultiplied colour and opacity. Optical depth would
+//! be no better: between entries it bends as much, and needs an exponential.
+//!
+//! The table takes 16 bytes an entry, 1 MB for 256 x 256, but neighbouring samples read neighbouring
+//! entries, and most slabs are nearly of one scalar: what a frame touches of it stays in the
+//! second-level cache.
+
 use std::cmp::Ordering;
 use std::sync::Arc;
 
 use glam::Vec4;
 use rayon::prelude::*;
 
+use super::fixed::{nearest, split};
 use super::ranges::Ranges;
-use super::{Form, SlabAxis};
+use super::{Form, SlabAxis, Slabs};
 
 /// A table of slabs of one length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlabTable {
     axis: Arc<SlabAxis>,
-    /// By `front * stride + back`; a row and a column more than there are entries, so that what
-    /// lies on the last entry can be read as if it lay before another.
+    /// By `front * stride + back`; the last row and the last column are there twice, so that what
+    /// lies on the last entry, or a hair beyond, can be read as if it lay before another.
     slabs: Vec<Vec4>,
-    stride: usize,
-}
-
-/// Added to a position, rounds it to 2^-10 and leaves it as an integer in the lowest bits: between
-/// 2^13 and 2^14 neighbouring floats are 2^-10 apart.
-const FIXED: f32 = 12288.0;
-const FRACTION_BITS: u32 = 10;
-
-/// A position's entry and fraction.
-#[inline(always)]
-fn split(position: f32) -> (usize, f32) {
-    let fixed = (position + FIXED).to_bits().wrapping_sub(FIXED.to_bits());
-    let fraction = fixed & ((1 << FRACTION_BITS) - 1);
-    ((fixed >> FRACTION_BITS) as usize, fraction as i32 as f32 * (1.0 / (1 << FRACTION_BITS) as f32))
-}
-
-/// The last entry at or before a position, as [`split`] rounds it.
-pub(super) fn entry_before(position: f32) -> usize {
-    split(position).0
-}
-
-/// The first entry at or after a position, as [`split`] rounds it.
-pub(super) fn entry_after(position: f32) -> usize {
-    let (entry, fraction) = split(position);
-    entry + usize::from(fraction > 0.0)
+    /// As narrow as it is, so that no index overflows.
+    stride: u32,
+    length: f32,
 }
 
 impl SlabTable {
@@ -50,8 +37,10 @@ impl SlabTable {
         let slabs: Vec<_> = (0..entries).into_par_iter().map(|from| ranges.slabs(from, length, form)).collect();
         let stride = entries + 1;
         let mut table = vec![Vec4::ZERO; stride * (entries + 1)];
-        table[..stride * entries].par_chunks_mut(stride).enumerate().for_each(|(front, row)| {
-            for (back, slab) in row[..entries].iter_mut().enumerate() {
+        table.par_chunks_mut(stride).enumerate().for_each(|(front, row)| {
+            let front = front.min(entries - 1);
+            for (back, slab) in row.iter_mut().enumerate() {
+                let back = back.min(entries - 1);
                 *slab = match back.cmp(&front) {
                     Ordering::Greater => slabs[front][back - front - 1][0],
                     Ordering::Less => slabs[back][front - back - 1][1],
@@ -59,7 +48,7 @@ impl SlabTable {
                 };
             }
         });
-        Self { axis, slabs: table, stride }
+        Self { axis, slabs: table, stride: stride as u32, length }
     }
 
     /// Scalar codes -> positions on the table's axis.
@@ -68,25 +57,66 @@ impl SlabTable {
         &self.axis
     }
 
-    /// Bytes in memory.
-    pub fn bytes(&self) -> u64 {
-        size_of_val(&self.slabs[..]) as u64
+    /// The length of its slabs, mm.
+    pub fn length(&self) -> f32 {
+        self.length
+    }
+
+    /// Bytes in memory of a table of so many entries along an axis.
+    pub(super) fn bytes(entries: usize) -> u64 {
+        ((entries + 1) * (entries + 1) * size_of::<Vec4>()) as u64
     }
 
     /// The entry nearest to two positions on the axis.
     #[inline(always)]
     pub fn nearest(&self, front: f32, back: f32) -> Vec4 {
-        let ((front, near), (back, far)) = (split(front), split(back));
-        self.slabs[(front + usize::from(near >= 0.5)) * self.stride + back + usize::from(far >= 0.5)]
+        self.slabs.get(nearest(front) * self.stride as usize + nearest(back)).copied().unwrap_or_default()
     }
 
     /// Interpolated between the four entries around two positions on the axis.
     #[inline(always)]
     pub fn bilinear(&self, front: f32, back: f32) -> Vec4 {
         let ((front, wf), (back, wb)) = (split(front), split(back));
-        let four = &self.slabs[front * self.stride + back..][..self.stride + 2];
-        let near = four[0] + (four[1] - four[0]) * wb;
-        let far = four[self.stride] + (four[self.stride + 1] - four[self.stride]) * wb;
+        let near = front * self.stride as usize + back;
+        let far = near + self.stride as usize;
+        // Always there: positions are on the axis.
+        let (Some(near), Some(far)) = (self.slabs.get(near..near + 2), self.slabs.get(far..far + 2)) else {
+            return Vec4::ZERO;
+        };
+        let near = near[0] + (near[1] - near[0]) * wb;
+        let far = far[0] + (far[1] - far[0]) * wb;
         near + (far - near) * wf
+    }
+}
+
+/// The nearest entry.
+#[derive(Clone, Copy, Debug)]
+pub struct Nearest<'a>(pub &'a SlabTable);
+
+impl Slabs for Nearest<'_> {
+    #[inline(always)]
+    fn coordinate(self, code: f32) -> f32 {
+        self.0.axis.coordinate(code)
+    }
+
+    #[inline(always)]
+    fn slab(self, front: f32, back: f32) -> Vec4 {
+        self.0.nearest(front, back)
+    }
+}
+
+/// Between four entries.
+#[derive(Clone, Copy, Debug)]
+pub struct Bilinear<'a>(pub &'a SlabTable);
+
+impl Slabs for Bilinear<'_> {
+    #[inline(always)]
+    fn coordinate(self, code: f32) -> f32 {
+        self.0.axis.coordinate(code)
+    }
+
+    #[inline(always)]
+    fn slab(self, front: f32, back: f32) -> Vec4 {
+        self.0.bilinear(front, back)
     }
 }

@@ -14,12 +14,12 @@ use glam::Vec4;
 use super::footprint::Footprint;
 use super::mask::Mask;
 use super::occupied::Occupied;
-use super::samples::{Position, SampleRows, VoxelRows};
+use super::samples::{Position, Quads, SampleRows};
 use super::scaled::ScaledRows;
 use super::{WORD, first_run, run_mask};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, SlicePlacement};
-use crate::volume::gradient::Code;
+use crate::render::simd::prefetch;
 
 /// A way for pixels to lie over slices.
 pub trait Lattice: Copy + Debug + Send + Sync + 'static {
@@ -45,8 +45,8 @@ pub trait Lattice: Copy + Debug + Send + Sync + 'static {
     /// The pixel of a buffer slice's first sample.
     fn buffer_base(placement: &Self::Placement) -> isize;
 
-    /// Adds to `pixels` those of scanline `v` whose rays pass a marked cell of a `layer` between the slices
-    /// at `ends`, or perhaps a neighbour of it.
+    /// Makes `pixels` those of scanline `v` whose rays pass a marked cell of a `layer` between the slices
+    /// at `ends`, or perhaps a neighbour of it. False, and `pixels` as they were, where there is none.
     fn mark(
         factorization: &Factorization,
         occupied: &Occupied<'_>,
@@ -54,13 +54,13 @@ pub trait Lattice: Copy + Debug + Send + Sync + 'static {
         ends: [&Self::Placement; 2],
         v: usize,
         pixels: &mut Mask,
-    );
+    ) -> bool;
 
     /// Samples the pixels of `mask` on a scanline: `at` has pixels that they are some of, and the scanline's
     /// v. Pixel u goes to `out.0[u - out.1]`.
-    fn sample<T: Code, S: Slabs>(
+    fn sample<S: Slabs>(
         rows: &mut Self::Rows,
-        voxels: &VoxelRows<'_, T>,
+        voxels: &dyn Quads,
         table: S,
         position: &Position<Self::Placement>,
         at: (&Range<usize>, usize),
@@ -111,18 +111,29 @@ impl Lattice for Unit {
         ends: [&SlicePlacement; 2],
         v: usize,
         pixels: &mut Mask,
-    ) {
-        let [ni, nj, _] = factorization.dims;
-        for SlicePlacement { first, .. } in ends {
-            let j = (v + 1).saturating_sub(first[1] + 1).min(nj - 2);
-            pixels.add_cells(occupied.scanline(j, layer), ni - 1, first[0]);
+    ) -> bool {
+        let [ni, nj, nk] = factorization.dims;
+        let [j_front, j_back] =
+            ends.map(|SlicePlacement { first, .. }| (v + 1).saturating_sub(first[1] + 1).min(nj - 2));
+        let (front, back) = (occupied.scanline(j_front, layer), occupied.scanline(j_back, layer));
+        let next = if factorization.reversed { layer.checked_sub(2) } else { Some(layer + 2).filter(|&l| l + 1 < nk) };
+        if let Some(next) = next {
+            prefetch(occupied.scanline(j_back, next));
         }
+        let empty = |cells: &[u64]| cells.iter().all(|&word| word == 0);
+        if empty(front) && empty(back) {
+            return false;
+        }
+        pixels.clear();
+        pixels.add_cells(front, ni - 1, ends[0].first[0]);
+        pixels.add_cells(back, ni - 1, ends[1].first[0]);
+        true
     }
 
     #[inline(always)]
-    fn sample<T: Code, S: Slabs>(
+    fn sample<S: Slabs>(
         rows: &mut SampleRows,
-        voxels: &VoxelRows<'_, T>,
+        voxels: &dyn Quads,
         table: S,
         position: &Position<SlicePlacement>,
         (_, v): (&Range<usize>, usize),
@@ -175,8 +186,9 @@ impl Lattice for Scaled {
         ends: [&[Footprint; 2]; 2],
         v: usize,
         pixels: &mut Mask,
-    ) {
+    ) -> bool {
         let [ni, nj, _] = factorization.dims;
+        let mut any = false;
         let [front, back] = ends.map(|[_, along_v]| along_v.under(&(v..v + 1)));
         let first = front.start.min(back.start).min(nj - 2);
         let end = front.end.max(back.end) - 1;
@@ -185,6 +197,10 @@ impl Lattice for Scaled {
             let mut cells = 0;
             for j in first..end.max(first + 1) {
                 cells |= occupied.scanline(j, layer)[word];
+            }
+            if cells != 0 && !any {
+                any = true;
+                pixels.clear();
             }
             while cells != 0 {
                 let (start, length) = first_run(cells);
@@ -197,12 +213,13 @@ impl Lattice for Scaled {
                 pixels.add(front.start.min(back.start)..front.end.max(back.end));
             }
         }
+        any
     }
 
     #[inline(always)]
-    fn sample<T: Code, S: Slabs>(
+    fn sample<S: Slabs>(
         rows: &mut ScaledRows,
-        voxels: &VoxelRows<'_, T>,
+        voxels: &dyn Quads,
         table: S,
         position: &Position<[Footprint; 2]>,
         at: (&Range<usize>, usize),

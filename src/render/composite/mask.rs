@@ -67,6 +67,17 @@ impl Mask {
         any != 0
     }
 
+    /// Keeps the pixels that are set in `open` and in `inside`. False where none is left.
+    #[inline(always)]
+    pub fn keep_within(&mut self, open: &[u64], inside: &Self) -> bool {
+        let mut any = 0;
+        for ((word, open), inside) in self.words.iter_mut().zip(open).zip(&inside.words) {
+            *word &= open & inside;
+            any |= *word;
+        }
+        any != 0
+    }
+
     /// The words, pixel 0 first.
     #[inline(always)]
     pub fn words(&self) -> &[u64] {
@@ -161,6 +172,11 @@ mod tests {
         assert!(mask.keep(&[u64::MAX, !2, u64::MAX, u64::MAX], &(20..80)));
         let runs: Vec<_> = Runs::new(&mask).collect();
         assert_eq!(runs, [(20, 44), (64, 1), (66, 14)]);
-        assert!(!mask.keep(&[u64::MAX; 4], &(90..90)));
+        assert!(!mask.clone().keep(&[u64::MAX; 4], &(90..90)));
+        let mut inside = Mask::new(150);
+        inside.add(50..64);
+        assert!(mask.keep_within(&[!(1 << 60); 4], &inside));
+        assert_eq!(Runs::new(&mask).collect::<Vec<_>>(), [(50, 10), (61, 3)]);
+        assert!(!mask.keep_within(&[u64::MAX; 4], &Mask::new(150)));
     }
 }

@@ -11,7 +11,8 @@
 //!
 //! Either works in the same three steps for a scanline of pixels: *which pixels* are not opaque and
 //! see something that is not transparent (machine words, a bit for each pixel); *fetch* the voxels
-//! those pixels touch into row buffers, each once; *resample and blend*.
+//! those pixels touch into row buffers, each once; *resample and blend*. How pixels lie over slices is another type
+//! parameter, [`lattice`]: as far apart as voxels, or scaled by perspective.
 //!
 //! Everything skipped would have added exact zeros or stood behind an opaque pixel; [`naive`] does
 //! it all the slow way and tests hold both together bit for bit.
@@ -62,7 +63,7 @@ pub trait Composite: Sync {
     /// [`RenderError::Cancelled`].
     fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError>;
 
-    /// Composites into `image`, which must be transparent and of the factorization's size.
+    /// Composites into `image`, which must be of the factorization's size.
     ///
     /// # Errors
     /// [`RenderError::Cancelled`].
@@ -89,7 +90,10 @@ impl<C: Composite> Kernel for Job<'_, '_, C> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.composite.band(self.band, self.scratch)
+        self.band.clear();
+        self.composite.band(self.band, self.scratch)?;
+        self.band.measure();
+        Ok(())
     }
 }
 

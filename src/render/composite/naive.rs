@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::footprint::Footprint;
 use super::lattice::{Lattice, Scaled, Unit};
 use super::over;
-use super::samples::{Position, VoxelRows, lerp};
+use super::samples::{Position, Quads, lerp};
 use super::slabs::SlabComposite;
 use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, Weights};
@@ -19,7 +19,6 @@ use crate::render::intermediate::IntermediateImage;
 use crate::render::material::Light;
 use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{Cancel, RenderError};
-use crate::volume::gradient::Code;
 
 /// A composite told pixel by pixel.
 pub trait Pixels: Sync {
@@ -36,6 +35,7 @@ pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel)
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
+        band.clear();
         let v = band.first;
         for (u, pixel) in band.scanline(0).pixels.iter_mut().enumerate() {
             *pixel = pixels.pixel(u, v);
@@ -97,12 +97,7 @@ fn contains(slice: &SlicePlacement, dims: [usize; 3], pixel: [usize; 2]) -> bool
 /// A lattice's way to sample, told for one pixel.
 pub trait NaiveLattice: Lattice {
     /// The sample at pixel (u, v), slices being continued by their borders.
-    fn pixel<T: Code>(
-        voxels: &VoxelRows<'_, T>,
-        dims: [usize; 3],
-        position: &Position<Self::Placement>,
-        pixel: [usize; 2],
-    ) -> Vec4;
+    fn pixel(voxels: &dyn Quads, dims: [usize; 3], position: &Position<Self::Placement>, pixel: [usize; 2]) -> Vec4;
 
     /// What is resampled at pixel (u, v) of slice `k` of voxels, which `voxel` gives by i and j; `None` where
     /// the pixel does not lie on the slice.
@@ -114,7 +109,7 @@ pub trait NaiveLattice: Lattice {
     ) -> Option<Vec4>;
 }
 
-impl<L: NaiveLattice, T: Code, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, T, S, C> {
+impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S, C> {
     fn pixel(&self, u: usize, v: usize) -> Vec4 {
         let f = self.factorization;
         let mut pixel = Vec4::ZERO;
@@ -125,7 +120,7 @@ impl<L: NaiveLattice, T: Code, S: Slabs, C: Correction> Pixels for SlabComposite
                 continue;
             }
             let [front, back] = [&slab.front, &slab.back].map(|position| {
-                let sample = L::pixel(&self.voxels, f.dims, position, [u, v]);
+                let sample = L::pixel(self.voxels, f.dims, position, [u, v]);
                 sample.with_x(self.table.coordinate(sample.x))
             });
             let length = if L::LENGTHS { f.relative_length(u, v) * slab.share } else { 1.0 };
@@ -147,18 +142,13 @@ impl<L: NaiveLattice, T: Code, S: Slabs, C: Correction> Pixels for SlabComposite
 }
 
 impl NaiveLattice for Unit {
-    fn pixel<T: Code>(
-        voxels: &VoxelRows<'_, T>,
-        dims: [usize; 3],
-        position: &Position<SlicePlacement>,
-        [u, v]: [usize; 2],
-    ) -> Vec4 {
+    fn pixel(voxels: &dyn Quads, dims: [usize; 3], position: &Position<SlicePlacement>, [u, v]: [usize; 2]) -> Vec4 {
         let SlicePlacement { first, fraction } = position.placement;
         let clamped = |at: usize, axis: usize| at.saturating_sub(first[axis]).min(dims[axis] - 1);
         let before = |at: usize, axis: usize| clamped(at, axis);
         let after = |at: usize, axis: usize| clamped(at + 1, axis);
         let on_slice = |k: usize| {
-            let voxel = |i: usize, j: usize| voxels.block(j, k, i)[0];
+            let voxel = |i: usize, j: usize| voxels.sample([i, j, k]);
             let column = |i: usize| lerp(voxel(i, before(v, 1)), voxel(i, after(v, 1)), fraction[1]);
             lerp(column(before(u, 0)), column(after(u, 0)), fraction[0])
         };
@@ -188,13 +178,8 @@ impl NaiveLattice for Unit {
 }
 
 impl NaiveLattice for Scaled {
-    fn pixel<T: Code>(
-        voxels: &VoxelRows<'_, T>,
-        _: [usize; 3],
-        position: &Position<[Footprint; 2]>,
-        [u, v]: [usize; 2],
-    ) -> Vec4 {
-        let on_slice = |k: usize| scaled(position.placement, [u, v], |i, j| voxels.block(j, k, i)[0]);
+    fn pixel(voxels: &dyn Quads, _: [usize; 3], position: &Position<[Footprint; 2]>, [u, v]: [usize; 2]) -> Vec4 {
+        let on_slice = |k: usize| scaled(position.placement, [u, v], |i, j| voxels.sample([i, j, k]));
         let near = on_slice(position.near);
         position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
     }

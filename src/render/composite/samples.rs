@@ -3,35 +3,51 @@
 //! A sample is what is interpolated between voxels: the scalar, and, where shading asks for it, a factor on
 //! the colour and an addend, where the transfer function asks for it, the gradient opacity. Each is a
 //! component of a [`Vec4`], so that all are resampled at once. (Which of the two light terms a slab
-//! of two samples has is left to it.) Voxels are read, and shaded, in blocks of eight, once for as
-//! long as their scanline is in a row buffer, and only where a pixel asks.
+//! of two samples has is left to it.) Voxels are read, and shaded, four at a time, once for as long as their
+//! scanline is in a row buffer, and only where a pixel asks. Four, because surfaces are a few voxels
+//! thin: of eight most would be shaded in vain.
 //!
 //! Interpolation is `a + (b - a) f`, which between two equal scalars is that scalar: what lies within a
 //! range stays within it, so that slabs over transparent ranges stay exactly zero. First down a
 //! column of two voxels, then along the row, where each column serves two pixels.
+//!
+//! Reading voxels depends on their type and on what lights them, and nothing else of the kernel does. So it is a
+//! job of its own ([`Quads`]), called for those that a row lacks: the kernel, which has many type
+//! parameters, is not compiled for each type of voxel again.
 
-use glam::{DMat3, Vec3, Vec4};
+use std::fmt::Debug;
+use std::ops::{Range, RangeInclusive};
+
+use glam::Vec4;
 
 use super::WORD;
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
+use super::sources::StoredNormals;
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
-use crate::render::factorization::{Factorization, PERMUTATIONS, SlicePlacement};
+use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::ray_light::RayLight;
+use crate::render::simd::{self, Kernel, prefetch};
 use crate::volume::Volume;
-use crate::volume::gradient::{Code, GradientFrame, encode_normal, gradient_at};
+use crate::volume::gradient::{Code, GradientFrame, Gradients, magnitudes, normals};
 use crate::volume::scanlines::Scanlines;
 
-/// Voxels that are read at once.
+/// Voxels that are classified at once.
 pub const BLOCK: usize = 8;
+
+/// Voxels that become samples at once.
+const QUAD: usize = 4;
 
 /// What voxels are lit by.
 #[derive(Clone, Copy, Debug)]
 pub enum VoxelLight<'a> {
     Off,
     /// Factor and addend by code of the normal.
-    ByNormal(&'a [[f32; 2]]),
+    ByNormal {
+        shades: &'a [[f32; 2]],
+        normals: StoredNormals<'a>,
+    },
     /// Along the ray that each is seen by.
     ByRay(&'a RayLight),
 }
@@ -40,12 +56,11 @@ pub enum VoxelLight<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct VoxelRows<'a, T> {
     scanlines: Scanlines<'a, T>,
-    volume: &'a Volume,
+    gradients: Gradients<'a, T>,
     /// Voxels along i, j, k.
     dims: [usize; 3],
-    /// The volume's axes that i, j, k stand for.
-    permutation: [usize; 3],
-    frame: GradientFrame,
+    /// Slices are walked from the last to the first.
+    reversed: bool,
     light: VoxelLight<'a>,
     gradient_opacity: Option<&'a TransferFunction>,
 }
@@ -61,37 +76,45 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     ) -> Self {
         Self {
             scanlines,
-            volume,
+            gradients: Gradients::new(scanlines, &GradientFrame::new(volume.placement(), volume.rescale().0)),
             dims: factorization.dims,
-            permutation: PERMUTATIONS[factorization.principal_axis],
-            frame: GradientFrame::new(volume.placement(), volume.rescale().0),
+            reversed: factorization.reversed,
             light,
             gradient_opacity: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
         }
     }
 
-    /// True where samples have light.
+    /// Asks for the voxels that the walk will need next: those a slice on, or, where that was needed for
+    /// gradients already, two.
     #[inline(always)]
-    pub fn is_lit(&self) -> bool {
-        !matches!(self.light, VoxelLight::Off)
+    fn prefetch(&self, j: usize, k: usize, voxels: Range<usize>) {
+        let ahead = if matches!(self.light, VoxelLight::ByRay(_)) { 2 } else { 1 };
+        let next = if self.reversed { k.checked_sub(ahead) } else { Some(k + ahead).filter(|&k| k < self.dims[2]) };
+        let Some(next) = next else { return };
+        if let VoxelLight::ByNormal { normals, .. } = self.light {
+            normals.prefetch([voxels.start, j, next], voxels.len());
+        }
+        if let Some(codes) = self.scanlines.row(j, next).get(voxels) {
+            prefetch(codes);
+        }
     }
 
-    /// Samples at eight voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
+    /// Samples at four voxels of scanline `j` of slice `k`, from voxel `first` on. Past the scanline's end
     /// its last voxel is repeated.
     #[inline(always)]
-    pub fn block(&self, j: usize, k: usize, first: usize) -> [Vec4; BLOCK] {
-        let codes = eight(self.scanlines.row(j, k), first);
-        let (mut factor, mut addend, mut density) = ([1.0; BLOCK], [0.0; BLOCK], [1.0; BLOCK]);
+    fn quad(&self, [first, j, k]: [usize; 3]) -> [Vec4; QUAD] {
+        let codes = four(self.scanlines.row(j, k), first);
+        let (mut factor, mut addend, mut density) = ([1.0; QUAD], [0.0; QUAD], [1.0; QUAD]);
         match self.light {
             VoxelLight::Off => {}
-            VoxelLight::ByNormal(shades) => {
-                let normals = self.normals(j, k, first);
-                for n in 0..BLOCK {
-                    [factor[n], addend[n]] = shades[usize::from(normals[n])];
+            VoxelLight::ByNormal { shades, normals } => {
+                let codes = normals.four([first, j, k]);
+                for n in 0..QUAD {
+                    [factor[n], addend[n]] = shades[usize::from(codes[n])];
                 }
             }
             VoxelLight::ByRay(light) => {
-                [factor, addend] = light.of_gradients(&self.gradients(j, k, first), [first, j, k]);
+                [factor, addend] = light.of_gradients(&self.gradients.block(j, k, first), [first, j, k]);
             }
         }
         if self.has_gradient_opacity() {
@@ -99,47 +122,22 @@ impl<'a, T: Code> VoxelRows<'a, T> {
                 *density = f32::from(self.gradient_factor([first + n, j, k])) / 255.0;
             }
         }
-        let mut samples = [Vec4::ZERO; BLOCK];
-        for n in 0..BLOCK {
+        let mut samples = [Vec4::ZERO; QUAD];
+        for n in 0..QUAD {
             samples[n] = Vec4::new(codes[n], factor[n], addend[n], density[n]);
         }
         samples
     }
 
-    /// Codes of the normals of eight voxels, those of
-    /// [`quantized_normals`](crate::volume::gradient::quantized_normals).
-    #[inline(always)]
-    pub fn normals(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
-        let along = self.gradients(j, k, first);
-        let mut normals = [0; BLOCK];
-        for n in 0..BLOCK {
-            normals[n] = encode_normal(along[0][n], along[1][n], along[2][n]);
-        }
-        normals
+    /// The code of the normal of voxel (i, j, k), from its neighbours: the one that is stored.
+    pub fn normal(&self, [i, j, k]: [usize; 3]) -> u16 {
+        normals(&self.gradients.block::<1>(j, k, i))[0]
     }
 
-    /// Gradients of eight voxels in the frame of the volume's normals.
+    /// Codes of scanline `j` of slice `k`.
     #[inline(always)]
-    fn gradients(&self, j: usize, k: usize, first: usize) -> [[f32; BLOCK]; 3] {
-        let [_, nj, nk] = self.dims;
-        let row = self.scanlines.row(j, k);
-        let neighbour = |j: usize, k: usize| eight(self.scanlines.row(j, k), first);
-        let (before_j, after_j) = (neighbour(j.saturating_sub(1), k), neighbour((j + 1).min(nj - 1), k));
-        let (before_k, after_k) = (neighbour(j, k.saturating_sub(1)), neighbour(j, (k + 1).min(nk - 1)));
-        let (before_i, after_i) = around(row, first);
-        let mut differences = [[0.0; BLOCK]; 3];
-        for n in 0..BLOCK {
-            differences[0][n] = after_i[n] - before_i[n];
-            differences[1][n] = after_j[n] - before_j[n];
-            differences[2][n] = after_k[n] - before_k[n];
-        }
-        // In the volume's own order, so that sums round as they do there.
-        let mut along = [[0.0; BLOCK]; 3];
-        for (n, axis) in self.permutation.into_iter().enumerate() {
-            along[axis] = differences[n];
-        }
-        turn(&mut along, self.frame.frame_from_differences, self.frame.diagonal);
-        along
+    pub fn row(&self, j: usize, k: usize) -> &'a [T] {
+        self.scanlines.row(j, k)
     }
 
     /// Codes of eight voxels, the scanline's last one repeated past its end.
@@ -168,61 +166,83 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// The gradient opacity of voxel (i, j, k), 255 = 1; that of the scanline's last voxel past its end.
     pub fn gradient_factor(&self, [i, j, k]: [usize; 3]) -> u8 {
         let Some(transfer) = self.gradient_opacity else { return u8::MAX };
-        let mut index = [0; 3];
-        for (axis, at) in self.permutation.into_iter().zip([i.min(self.dims[0] - 1), j, k]) {
-            index[axis] = at;
-        }
-        let magnitude = gradient_at(self.volume, &self.frame, index).length();
-        (transfer.gradient_factor(magnitude) * 255.0).round() as u8
+        let magnitude = magnitudes(&self.gradients.block::<1>(j, k, i.min(self.dims[0] - 1)))[0];
+        (transfer.gradient_factor(magnitude.into()) * 255.0).round() as u8
     }
 }
 
-/// Differences of codes -> components of the gradient in the frame.
-#[inline(always)]
-fn turn(along: &mut [[f32; BLOCK]; 3], frame_from_differences: DMat3, diagonal: bool) {
-    let m = frame_from_differences.as_mat3();
-    let [x, y, z] = along;
-    if diagonal {
-        for n in 0..BLOCK {
-            x[n] *= m.x_axis.x;
-            y[n] *= m.y_axis.y;
-            z[n] *= m.z_axis.z;
-        }
-    } else {
-        for n in 0..BLOCK {
-            [x[n], y[n], z[n]] = (m * Vec3::new(x[n], y[n], z[n])).to_array();
+/// Voxels of whatever type as samples.
+pub trait Quads: Debug + Send + Sync {
+    /// Voxels along i, j, k.
+    fn dims(&self) -> [usize; 3];
+
+    /// True where samples have light.
+    fn is_lit(&self) -> bool;
+
+    /// The sample at voxel (i, j, k); past the scanline's end that of its last voxel.
+    fn sample(&self, at: [usize; 3]) -> Vec4;
+
+    /// Reads those quads of scanline `j` of slice `k` that `row`, which is for that scanline, lacks.
+    fn fetch(&self, row: &mut Row, j: usize, k: usize, quads: RangeInclusive<usize>);
+}
+
+impl<T: Code + Debug> Quads for VoxelRows<'_, T> {
+    fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    fn is_lit(&self) -> bool {
+        !matches!(self.light, VoxelLight::Off)
+    }
+
+    fn sample(&self, [i, j, k]: [usize; 3]) -> Vec4 {
+        self.quad([i, j, k])[0]
+    }
+
+    fn fetch(&self, row: &mut Row, j: usize, k: usize, quads: RangeInclusive<usize>) {
+        simd::dispatch(Fetch { voxels: self, row, j, k, quads });
+    }
+}
+
+/// What [`Quads::fetch`] does.
+struct Fetch<'a, 'b, T> {
+    voxels: &'a VoxelRows<'b, T>,
+    row: &'a mut Row,
+    j: usize,
+    k: usize,
+    quads: RangeInclusive<usize>,
+}
+
+impl<T: Code> Kernel for Fetch<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { voxels, row, j, k, quads } = self;
+        voxels.prefetch(j, k, quads.start() * QUAD..(quads.end() + 1) * QUAD);
+        for quad in quads {
+            if !std::mem::replace(&mut row.fetched[quad], true) {
+                row.set(quad, &voxels.quad([quad * QUAD, j, k]), voxels.dims[0]);
+            }
         }
     }
 }
 
-/// Eight codes from `first` on, the last one repeated.
+/// Four codes from `first` on, the last one repeated.
 #[inline(always)]
-fn eight<T: Code>(row: &[T], first: usize) -> [f32; BLOCK] {
-    let mut codes = [0.0; BLOCK];
-    if let Some(whole) = row.get(first..first + BLOCK) {
-        for n in 0..BLOCK {
-            codes[n] = whole[n].as_f32();
-        }
-    } else {
-        for (n, code) in codes.iter_mut().enumerate() {
-            *code = row[(first + n).min(row.len() - 1)].as_f32();
-        }
-    }
-    codes
+fn four<T: Code>(row: &[T], first: usize) -> [f32; QUAD] {
+    let [a, b, c, d] = match row.get(first..).and_then(<[T]>::first_chunk) {
+        Some(four) => *four,
+        None => at_the_end(row, first),
+    };
+    [a.as_f32(), b.as_f32(), c.as_f32(), d.as_f32()]
 }
 
-/// The codes before and after each of eight, indices clamped at the scanline's ends.
-#[inline(always)]
-fn around<T: Code>(row: &[T], first: usize) -> ([f32; BLOCK], [f32; BLOCK]) {
-    if first > 0 && first + BLOCK < row.len() {
-        return (eight(row, first - 1), eight(row, first + 1));
-    }
-    let (mut before, mut after) = ([0.0; BLOCK], [0.0; BLOCK]);
-    for n in 0..BLOCK {
-        before[n] = row[(first + n).saturating_sub(1).min(row.len() - 1)].as_f32();
-        after[n] = row[(first + n + 1).min(row.len() - 1)].as_f32();
-    }
-    (before, after)
+/// The same where fewer than four are left. On its own, so that the usual four are loaded as one.
+#[cold]
+#[inline(never)]
+fn at_the_end<T: Code>(row: &[T], first: usize) -> [T; QUAD] {
+    [0, 1, 2, 3].map(|n| row[(first + n).min(row.len() - 1)])
 }
 
 /// Where a slice of samples lies: on a slice of voxels or between two.
@@ -253,15 +273,15 @@ impl<P> Position<P> {
 pub struct Row {
     pub j: Option<usize>,
     pub voxels: Vec<Vec4>,
-    /// Blocks that are there.
+    /// Quads that are there.
     fetched: Vec<bool>,
 }
 
 impl Row {
     /// For scanlines of `length` voxels.
     pub fn new(length: usize) -> Self {
-        let blocks = length.div_ceil(BLOCK);
-        Self { j: None, voxels: vec![Vec4::ZERO; blocks * BLOCK + 2], fetched: vec![false; blocks] }
+        let quads = length.div_ceil(QUAD);
+        Self { j: None, voxels: vec![Vec4::ZERO; quads * QUAD + 2], fetched: vec![false; quads] }
     }
 
     /// Becomes scanline `j`, nothing of which is there yet.
@@ -273,21 +293,23 @@ impl Row {
 
     /// Reads voxels `first..=last` of scanline `j` of slice `k`, which the row is for.
     #[inline(always)]
-    pub fn fetch<T: Code>(&mut self, rows: &VoxelRows<'_, T>, j: usize, k: usize, first: usize, last: usize) {
-        for block in first / BLOCK..=last / BLOCK {
-            if !self.fetched[block] {
-                self.fetched[block] = true;
-                let at = block * BLOCK;
-                let samples = rows.block(j, k, at);
-                self.voxels[at + 1..][..BLOCK].copy_from_slice(&samples);
-                if block == 0 {
-                    self.voxels[0] = samples[0];
-                }
-                let end = rows.dims[0];
-                if at + BLOCK >= end {
-                    self.voxels[end + 1] = self.voxels[end];
-                }
-            }
+    pub fn fetch(&mut self, voxels: &dyn Quads, j: usize, k: usize, first: usize, last: usize) {
+        let (first, last) = (first / QUAD, last / QUAD);
+        if let Some(missing) = self.fetched[first..=last].iter().position(|there| !there) {
+            voxels.fetch(self, j, k, first + missing..=last);
+        }
+    }
+
+    /// Takes the samples of a quad of a scanline of `length` voxels.
+    #[inline(always)]
+    fn set(&mut self, quad: usize, samples: &[Vec4; QUAD], length: usize) {
+        let at = quad * QUAD;
+        self.voxels[at + 1..][..QUAD].copy_from_slice(samples);
+        if quad == 0 {
+            self.voxels[0] = samples[0];
+        }
+        if at + QUAD >= length {
+            self.voxels[length + 1] = self.voxels[length];
         }
     }
 }
@@ -349,9 +371,9 @@ impl SampleRows {
     /// Samples the pixels of `mask`, which lie on the slice or less than a pixel beside it, on scanline `v`.
     /// Pixel u goes to `out[u - base]`.
     #[inline(always)]
-    pub fn sample<T: Code, S: Slabs>(
+    pub fn sample<S: Slabs>(
         &mut self,
-        voxels: &VoxelRows<'_, T>,
+        voxels: &dyn Quads,
         table: S,
         position: &Position<SlicePlacement>,
         v: usize,
@@ -359,7 +381,7 @@ impl SampleRows {
         (out, base): (&mut [Vec4], isize),
     ) {
         let SlicePlacement { first, fraction } = position.placement;
-        let last = voxels.dims.map(|n| n - 1);
+        let last = voxels.dims().map(|n| n - 1);
         // From -1: slices are continued by their borders.
         let upper = (v + 1).saturating_sub(first[1] + 1).min(last[1]);
         let lower = (v + 1 - first[1]).min(last[1]);

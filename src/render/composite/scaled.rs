@@ -12,9 +12,8 @@ use glam::Vec4;
 use super::WORD;
 use super::footprint::Footprint;
 use super::mask::{Mask, Runs};
-use super::samples::{Position, Row, VoxelRows, lerp};
+use super::samples::{Position, Quads, Row, lerp};
 use crate::classify::preintegration::Slabs;
-use crate::volume::gradient::Code;
 
 /// First voxels and weights of a slice's pixels along u.
 #[derive(Clone, Debug, Default)]
@@ -110,14 +109,7 @@ impl Ring {
 
     /// Adds up voxels `us` of the scanlines from `first` on, `weights` of each.
     #[inline(always)]
-    fn add_up<T: Code>(
-        &mut self,
-        voxels: &VoxelRows<'_, T>,
-        first: usize,
-        weights: &[f32],
-        hull: &Range<usize>,
-        sum: &mut [Vec4],
-    ) {
+    fn add_up(&mut self, voxels: &dyn Quads, first: usize, weights: &[f32], hull: &Range<usize>, sum: &mut [Vec4]) {
         let mut empty = true;
         for (j, &weight) in (first..).zip(weights).filter(|(_, weight)| **weight > 0.0) {
             let place = j % self.rows.len();
@@ -160,9 +152,9 @@ impl ScaledRows {
 
     /// Samples the pixels of `mask`, which are some of `us`, on scanline `v`. Pixel u goes to `out[u - base]`.
     #[inline(always)]
-    pub fn sample<T: Code, S: Slabs>(
+    pub fn sample<S: Slabs>(
         &mut self,
-        voxels: &VoxelRows<'_, T>,
+        voxels: &dyn Quads,
         table: S,
         position: &Position<[Footprint; 2]>,
         (us, v): (&Range<usize>, usize),

@@ -26,21 +26,20 @@ use super::cue::{Cue, ScanlineCue, SliceCue};
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use super::occupied::Occupied;
-use super::samples::{Position, VoxelRows};
+use super::samples::{Position, Quads};
 use super::{CANCEL_STEP, Composite, clear_bits, over};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::slab::Correction;
 use crate::render::{BufferSlice, Cancel, RenderError};
-use crate::volume::gradient::Code;
 
 /// What the bands of a frame share.
 #[derive(Debug)]
-pub struct SlabComposite<'a, L, T, S, C> {
+pub struct SlabComposite<'a, L, S, C> {
     pub lattice: L,
     pub factorization: &'a Factorization,
-    pub voxels: VoxelRows<'a, T>,
+    pub voxels: &'a dyn Quads,
     pub occupied: Occupied<'a>,
     pub table: S,
     pub correction: C,
@@ -61,6 +60,8 @@ pub struct Scratch<R> {
     back: R,
     /// Lengths of the pixels' rays, in units of the view's; none where they have all the same.
     lengths: Vec<f32>,
+    /// Those over which a slab is inside the volume.
+    inside: Mask,
     pixels: Mask,
     fresh: Mask,
     kept: Vec<Kept>,
@@ -93,7 +94,7 @@ pub(super) struct Slab<'a, P> {
     pub(super) cue: Option<SliceCue<'a>>,
 }
 
-impl<L: Lattice, T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, T, S, C> {
+impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, C> {
     type Scratch = Scratch<L::Rows>;
 
     fn scratch(&self, height: usize) -> Self::Scratch {
@@ -102,6 +103,7 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'
             front: L::rows(self.factorization),
             back: L::rows(self.factorization),
             lengths: vec![],
+            inside: Mask::new(width),
             pixels: Mask::new(width),
             fresh: Mask::new(width),
             kept: vec![Kept { slab: 0, pixels: Mask::new(width) }; height],
@@ -128,7 +130,7 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> Composite for SlabComposite<'
     }
 }
 
-impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C> {
+impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     /// The slabs along a ray, front to back.
     pub(super) fn slabs(&self) -> Range<usize> {
         let f = self.factorization;
@@ -158,13 +160,15 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
     #[inline(always)]
     fn slab(&self, band: &mut Band<'_>, slab: &Slab<'_, L::Placement>, scratch: &mut Scratch<L::Rows>) {
         let rows = band.first..band.first + band.height();
+        scratch.inside.clear();
+        scratch.inside.add(slab.pixels.clone());
         for v in slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end) {
             let row = v - band.first;
             let mut scanline = band.scanline(row);
-            if !self.find(slab, v, &scanline, &mut scratch.pixels) {
+            let Scratch { front, back, lengths, inside, pixels, fresh, kept, buffer } = &mut *scratch;
+            if !self.find(slab, v, &scanline, inside, pixels) {
                 continue;
             }
-            let Scratch { front, back, lengths, pixels, fresh, kept, buffer } = &mut *scratch;
             let kept = &mut kept[row];
             let samples = buffer.row(row, [&slab.front, &slab.back].map(|p| L::buffer_base(&p.placement)));
             let missing = if kept.slab + 1 == slab.number {
@@ -175,10 +179,10 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
             };
             if missing {
                 let out = (&mut *samples.front, samples.front_base);
-                L::sample(front, &self.voxels, self.table, &slab.front, (&slab.pixels, v), fresh, out);
+                L::sample(front, self.voxels, self.table, &slab.front, (&slab.pixels, v), fresh, out);
             }
             let out = (&mut *samples.back, samples.back_base);
-            L::sample(back, &self.voxels, self.table, &slab.back, (&slab.pixels, v), pixels, out);
+            L::sample(back, self.voxels, self.table, &slab.back, (&slab.pixels, v), pixels, out);
             let lengths = if L::LENGTHS { &lengths[row * self.factorization.size[0]..] } else { &[] };
             self.blend(&mut scanline, v, slab, pixels, &samples, lengths);
             samples.keep(pixels);
@@ -189,17 +193,19 @@ impl<L: Lattice, T: Code, S: Slabs, C: Correction> SlabComposite<'_, L, T, S, C>
 
     /// Finds the pixels of scanline `v` to work on; false where there is none.
     #[inline(always)]
-    fn find(&self, slab: &Slab<'_, L::Placement>, v: usize, scanline: &ScanlineMut<'_>, pixels: &mut Mask) -> bool {
-        pixels.clear();
-        L::mark(
-            self.factorization,
-            &self.occupied,
-            slab.layer,
-            [&slab.front.placement, &slab.back.placement],
-            v,
-            pixels,
-        );
-        let any = pixels.keep(scanline.non_opaque, &slab.pixels);
+    fn find(
+        &self,
+        slab: &Slab<'_, L::Placement>,
+        v: usize,
+        scanline: &ScanlineMut<'_>,
+        inside: &Mask,
+        pixels: &mut Mask,
+    ) -> bool {
+        let ends = [&slab.front.placement, &slab.back.placement];
+        if !L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels) {
+            return false;
+        }
+        let any = pixels.keep_within(scanline.non_opaque, inside);
         if any && self.factorization.is_clipped() {
             return pixels.keep(scanline.non_opaque, &self.factorization.visible_pixels(v, slab.middle));
         }

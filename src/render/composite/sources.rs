@@ -15,7 +15,9 @@ use super::run_mask;
 use super::samples::{BLOCK, VoxelRows};
 use crate::classify::CodeTables;
 use crate::classify::rle::{AxisEncoding, Scanline, Voxel};
+use crate::render::factorization::{Factorization, PERMUTATIONS};
 use crate::render::material::{Light, SliceMaterial};
+use crate::render::simd::prefetch;
 use crate::volume::gradient::Code;
 
 /// Voxels by scanline.
@@ -28,6 +30,12 @@ pub trait VoxelSource: Copy + Send + Sync {
 
     /// Scanline `j` of slice `k`.
     fn scanline(&self, j: usize, k: usize) -> Self::Scanline;
+
+    /// Asks for what scanline `j` of slice `k` will need.
+    fn prefetch(&self, j: usize, k: usize);
+
+    /// Asks for what tells where scanline `j` of slice `k` is.
+    fn prefetch_place(&self, j: usize, k: usize);
 
     /// True where nothing would be marked.
     fn is_empty(&self, scanline: &Self::Scanline) -> bool;
@@ -70,6 +78,18 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
     #[inline(always)]
     fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {
         AxisEncoding::scanline(self, j, k)
+    }
+
+    #[inline(always)]
+    fn prefetch(&self, j: usize, k: usize) {
+        let scanline = AxisEncoding::scanline(self, j, k);
+        prefetch(scanline.runs);
+        prefetch(scanline.voxels);
+    }
+
+    #[inline(always)]
+    fn prefetch_place(&self, j: usize, k: usize) {
+        prefetch(self.place(j, k));
     }
 
     #[inline(always)]
@@ -130,10 +150,69 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
     }
 }
 
+/// The volume's normals as one principal axis walks them. There is no copy with scanlines along y: their
+/// voxels are cache lines apart, but the same lines serve the next slices.
+#[derive(Clone, Copy, Debug)]
+pub struct StoredNormals<'a> {
+    codes: &'a [u16],
+    /// Codes from a voxel to the next along i, j, k.
+    strides: [usize; 3],
+    /// The last voxel of a scanline.
+    last: usize,
+}
+
+impl<'a> StoredNormals<'a> {
+    /// `codes` are in the volume's order, x fastest.
+    pub fn new(codes: &'a [u16], factorization: &Factorization) -> Self {
+        let permutation = PERMUTATIONS[factorization.principal_axis];
+        let (mut strides, mut stride) = ([0; 3], 1);
+        for axis in 0..3 {
+            let place = permutation.iter().position(|&a| a == axis).expect("a permutation of the axes");
+            strides[place] = stride;
+            stride *= factorization.dims[place];
+        }
+        Self { codes, strides, last: factorization.dims[0] - 1 }
+    }
+
+    /// The code of voxel (i, j, k), past the scanline's end that of its last voxel.
+    #[inline(always)]
+    fn at(&self, [i, j, k]: [usize; 3]) -> u16 {
+        self.codes[i.min(self.last) * self.strides[0] + j * self.strides[1] + k * self.strides[2]]
+    }
+
+    /// The codes of four voxels from (i, j, k) on.
+    #[inline(always)]
+    pub fn four(&self, [i, j, k]: [usize; 3]) -> [u16; 4] {
+        let row = &self.codes[j * self.strides[1] + k * self.strides[2]..];
+        if self.strides[0] == 1
+            && let Some(four) = row[..=self.last].get(i..).and_then(<[u16]>::first_chunk)
+        {
+            return *four;
+        }
+        let mut four = [0; 4];
+        for (n, code) in four.iter_mut().enumerate() {
+            *code = row[(i + n).min(self.last) * self.strides[0]];
+        }
+        four
+    }
+
+    /// Asks for `count` voxels from (i, j, k) on, where they lie side by side.
+    #[inline(always)]
+    pub fn prefetch(&self, [i, j, k]: [usize; 3], count: usize) {
+        let start = i + j * self.strides[1] + k * self.strides[2];
+        if self.strides[0] == 1
+            && let Some(codes) = self.codes.get(start..start + count)
+        {
+            prefetch(codes);
+        }
+    }
+}
+
 /// Unencoded scanlines, and what octree and summed-area table say of their leaves.
 #[derive(Clone, Copy, Debug)]
 pub struct Unencoded<'a, T> {
     pub voxels: VoxelRows<'a, T>,
+    pub normals: StoredNormals<'a>,
     pub leaves: &'a LeafRows,
     pub tables: &'a CodeTables,
 }
@@ -152,6 +231,28 @@ impl<T: Code> Unencoded<'_, T> {
     }
 }
 
+impl<T: Code> Unencoded<'_, T> {
+    /// Shades the eight voxels from (i, j, k) on.
+    #[inline(always)]
+    fn shade_block<H: Light, const FACTORED: bool>(
+        &self,
+        [i, j, k]: [usize; 3],
+        out: &mut [Vec4],
+        material: SliceMaterial<'_, H, FACTORED>,
+    ) {
+        let codes = self.voxels.codes(j, k, i);
+        let mut normals = [0; BLOCK];
+        for (n, normal) in normals.iter_mut().enumerate() {
+            *normal = if H::LIT { self.normals.at([i + n, j, k]) } else { 0 };
+        }
+        let [scales, addends] = material.light(&normals, [i, j, k]);
+        for n in 0..BLOCK {
+            let factor = if FACTORED { self.factor(codes[n], [i + n, j, k]) } else { u8::MAX };
+            out[n] = material.color(codes[n], factor, [scales[n], addends[n]]);
+        }
+    }
+}
+
 impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
     /// j, k, and the leaves that it passes.
     type Scanline = (usize, usize, &'a [u64]);
@@ -161,6 +262,22 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
     fn scanline(&self, j: usize, k: usize) -> Self::Scanline {
         (j, k, self.leaves.scanline(j, k))
     }
+
+    /// The codes of leaves that may show something. Normals are asked for too seldom.
+    #[inline(always)]
+    fn prefetch(&self, j: usize, k: usize) {
+        let codes = self.voxels.row(j, k);
+        for (word, &bits) in self.leaves.scanline(j, k).iter().enumerate() {
+            if bits != 0 {
+                let first = word * WORD + bits.trailing_zeros() as usize;
+                let end = (word + 1) * WORD - bits.leading_zeros() as usize;
+                prefetch(&codes[first..end.min(codes.len())]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn prefetch_place(&self, _: usize, _: usize) {}
 
     #[inline(always)]
     fn is_empty(&self, (.., leaves): &Self::Scanline) -> bool {
@@ -195,7 +312,7 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
         drawn
     }
 
-    /// Block by block.
+    /// Voxel by voxel, or block by block where light is.
     #[inline(always)]
     fn shade<H: Light, const FACTORED: bool>(
         &self,
@@ -204,21 +321,24 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
         row: ShadedRow<'_>,
         material: SliceMaterial<'_, H, FACTORED>,
     ) {
+        let codes = self.voxels.row(j, k);
         for (word, (asked, shaded)) in asked.iter().zip(row.shaded).enumerate() {
             let mut missing = asked & !*shaded;
+            *shaded |= missing;
             while missing != 0 {
-                let block = missing.trailing_zeros() as usize / BLOCK;
-                let mask = run_mask(block * BLOCK, BLOCK);
-                missing &= !mask;
-                *shaded |= mask;
-                let first = word * WORD + block * BLOCK;
-                let codes = self.voxels.codes(j, k, first);
-                let normals = if H::LIT { self.voxels.normals(j, k, first) } else { [0; BLOCK] };
-                let [scales, addends] = material.light(&normals, [first, j, k]);
-                let out = &mut row.voxels[first..first + BLOCK];
-                for n in 0..BLOCK {
-                    let factor = if FACTORED { self.factor(codes[n], [first + n, j, k]) } else { u8::MAX };
-                    out[n] = material.color(codes[n], factor, [scales[n], addends[n]]);
+                let i = word * WORD + missing.trailing_zeros() as usize;
+                if H::BLOCKS {
+                    let first = i / BLOCK * BLOCK;
+                    missing &= !run_mask(first % WORD, BLOCK);
+                    *shaded |= run_mask(first % WORD, BLOCK);
+                    self.shade_block([first, j, k], &mut row.voxels[first..first + BLOCK], material);
+                } else {
+                    missing &= missing - 1;
+                    let normal = if H::LIT { self.normals.at([i, j, k]) } else { 0 };
+                    let [[scale], [addend]] = material.light(&[normal], [i, j, k]);
+                    let code = codes[i].into();
+                    let factor = if FACTORED { self.factor(code, [i, j, k]) } else { u8::MAX };
+                    row.voxels[i] = material.color(code, factor, [scale, addend]);
                 }
             }
         }
@@ -229,6 +349,6 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
         let tau = self.tables.extinction[usize::from(code)];
         let factor = if self.voxels.has_gradient_opacity() { self.voxels.gradient_factor([i, j, k]) } else { u8::MAX };
         let drawn = self.tables.is_visible(tau, factor);
-        drawn.then(|| (Voxel { code, normal: self.voxels.normals(j, k, i)[0] }, factor))
+        drawn.then(|| (Voxel { code, normal: self.voxels.normal([i, j, k]) }, factor))
     }
 }

@@ -23,6 +23,9 @@ use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::material::{Light, Material};
 use crate::render::{Cancel, RenderError};
 
+/// Where scanlines are is asked for so many slices before they are read.
+const FARTHER: usize = 8;
+
 /// What the bands of a frame share.
 #[derive(Debug)]
 pub struct Voxels<'a, L, V, H, const FACTORED: bool> {
@@ -113,14 +116,29 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
         let end_row = (placement.first[1] + last + 1).saturating_sub(band.first).min(band.height());
         let weights = Weights::new(fraction_u, fraction_v);
         let cue = self.cue.map(|cue| cue.slice(k as f64));
+        let slices = &self.factorization.slices;
+        let ahead = if self.factorization.reversed { k.wrapping_sub(1) } else { k + 1 };
+        let has_ahead = slices.contains(&ahead);
+        let farther = if self.factorization.reversed { k.wrapping_sub(FARTHER) } else { k + FARTHER };
         rows.next_slice();
+        let mut below = None;
         for row in first_row..end_row {
             let v = band.first + row;
             let j = v - placement.first[1];
-            let upper = self.source.scanline(j, k);
-            let lower = (fraction_v > 0.0).then(|| self.source.scanline(j + 1, k));
-            let empty = |scanline| self.source.is_empty(scanline);
-            if empty(&upper) && lower.as_ref().is_none_or(empty) {
+            if has_ahead {
+                self.source.prefetch_place(j, farther);
+            }
+            let upper = match below {
+                Some(upper) => upper,
+                None => self.source.scanline(j, k),
+            };
+            let lower = if fraction_v > 0.0 { Some(self.source.scanline(j + 1, k)) } else { None };
+            below = lower;
+            let empty_lower = match &lower {
+                Some(lower) => self.source.is_empty(lower),
+                None => true,
+            };
+            if empty_lower && self.source.is_empty(&upper) {
                 continue;
             }
             rows.enter(self.source, j, &upper, lower.as_ref());
@@ -132,6 +150,9 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             }
             if spans.is_empty() {
                 continue;
+            }
+            if has_ahead {
+                self.source.prefetch(j, ahead);
             }
             rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
             let cue = cue.map(|cue| cue.scanline(v));

@@ -34,9 +34,10 @@ use super::{AXIS_MARGIN, Factorization, PERMUTATIONS, Shear, clip, permuted};
 use crate::render::view::View;
 use crate::volume::Volume;
 
-/// Voxels by which a ray may move from slice to slice before the picture is split; at most. Flatter rays
-/// see slabs that are more than twice as thick as they need to be. (A parallel view has at most 1; a
-/// view at 45 degrees to two axes with half a field of view of 11 degrees has this.)
+/// Voxels by which a ray may move from slice to slice along either axis before the picture is split. (A
+/// parallel view has at most 1; a view at 45 degrees to two axes reaches this with half a field of view of
+/// 18 degrees.) On a CT scan at such angles one part with this limit and two parts with 1 come equally
+/// near to the ray caster, within 1 dB in favour of either; one part has no joint.
 const SLOPE_LIMIT: f64 = 2.0;
 
 /// So far beyond what the picture's outermost rays see the image goes on, pixels: rounding leaves none out.

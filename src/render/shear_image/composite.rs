@@ -1,27 +1,32 @@
 //! Emission and absorption along a packet: slabs between slices, pre-integrated.
 //!
-//! A slab's scalars are those of its front and back slice; the back ones are the next slab's front
-//! ones. Its light comes from the gradient in its middle, asked for only where the slab shows
-//! something. Slabs at the two ends of a ray are cut where it enters and leaves the volume: they are
-//! sampled there, and their opacity is that of the shorter length.
+//! The packets of a tile pass a layer of cells together, so that its voxels are made ready once
+//! ([`Patch`]); each of them passes over the layers in which it sees nothing. A slab's scalars are
+//! those of its front and back slice; the back ones are the next slab's front ones. Its light comes
+//! from the gradient in its middle, asked for only where the slab shows something. Slabs at the two ends
+//! of a ray are cut where it enters and leaves the volume: they are sampled there, and their opacity is
+//! that of the shorter length.
 
 use std::time::Instant;
 
-use glam::{Mat3, Vec4};
+use glam::{Mat3, Vec3, Vec4};
 
-use super::packet::{LANES, Lanes, Packet};
+use super::packet::{IN_SLICE, LANES, Lanes, Packet};
+use super::patch::{self, Cells, Patch, Places, Slice};
 use super::sampler::Sampler;
 use super::skip::Skip;
 use super::{Frame, Pixels};
 use crate::classify::TransferFunction;
-use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
+use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::lighting::Lighting;
-use crate::render::{DepthCueing, Image, Lookup, OpacityCorrection, RenderError, Scene, Timings};
+use crate::render::{DepthCueing, Image, Lookup, OpacityCorrection, RenderError, Scene, SlabTable, Timings};
 use crate::volume::gradient::{Code, GradientFrame};
+use crate::volume::scanlines::Scanlines;
 
 /// A frame of emission and absorption.
 pub(super) fn frame<T: Code>(
     codes: &[T],
+    scanlines: [Scanlines<'_, T>; 3],
     scene: &Scene<'_>,
     frame: &Frame<'_>,
 ) -> Result<(Image, Timings), RenderError> {
@@ -44,14 +49,11 @@ pub(super) fn frame<T: Code>(
     let gradient_opacity = Some(scene.transfer).filter(|transfer| !transfer.gradient_opacity.is_empty());
     let scaled = gradient_opacity.is_some() || !same_length;
     let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
-    let making = Instant::now();
-    let table = tables.table(form, (slice_length / steps as f64) as f32);
-    let preintegration_table = making.elapsed();
-
     let gradient_frame = GradientFrame::new(volume.placement(), volume.rescale().0);
     let lighting = settings.shading.as_ref().map(Lighting::new);
     let walk = Walk {
         sampler: Sampler::new(codes, dims),
+        scanlines,
         skip: if settings.skipping { Skip::new(dims, classification, scene.encodings) } else { Skip::nothing(dims) },
         steps,
         per_length: if same_length { None } else { Some(1.0 / slice_length as f32) },
@@ -61,16 +63,34 @@ pub(super) fn frame<T: Code>(
         depth_cueing: settings.depth_cueing,
         opaque: settings.early_ray_termination,
     };
-    let (image, timings) = match options.lookup {
-        Lookup::Nearest => walk.render(frame, Nearest(&table), scaled),
-        Lookup::Bilinear => walk.render(frame, Bilinear(&table), scaled),
-    }?;
+    let making = Instant::now();
+    let slab_length = (slice_length / steps as f64) as f32;
+    let (image, timings, preintegration_table) = match options.table {
+        SlabTable::OneDimensional => {
+            let sums = tables.running_sums(form, slab_length);
+            let made = making.elapsed();
+            let (image, timings) = walk.render(frame, OneDimensional(&sums), scaled)?;
+            (image, timings, made)
+        }
+        SlabTable::TwoDimensional => {
+            let table = tables.table(form, slab_length);
+            let made = making.elapsed();
+            let (image, timings) = match options.lookup {
+                Lookup::Nearest => walk.render(frame, Nearest(&table), scaled),
+                Lookup::Bilinear => walk.render(frame, Bilinear(&table), scaled),
+            }?;
+            (image, timings, made)
+        }
+    };
     Ok((image, Timings { preintegration_table, ..timings }))
 }
 
 /// How packets walk, whatever the type parameters.
 struct Walk<'a, T> {
+    /// For the ends of rays, which are on no slice.
     sampler: Sampler<'a, T>,
+    /// By principal axis.
+    scanlines: [Scanlines<'a, T>; 3],
     skip: Skip<'a>,
     /// Slabs from a slice of voxels to the next.
     steps: usize,
@@ -97,17 +117,28 @@ impl<T: Code> Walk<'_, T> {
     }
 }
 
+/// Cells of a layer under a tile at most, where it has more than one packet: what stays in the first-level cache.
+const TILE_CELLS: usize = 256;
+
 /// The kernel. `SCALED`: the table holds optical depths.
 struct Composite<'a, T, S, const LIT: bool, const SCALED: bool> {
     walk: &'a Walk<'a, T>,
     table: S,
 }
 
+/// What a job keeps from tile to tile.
+#[derive(Default)]
+struct Buffers {
+    patch: Patch,
+    states: Vec<State>,
+}
+
 /// What a packet has come to.
 struct State {
-    pixels: [Vec4; LANES],
-    /// Lanes that are neither opaque nor outside of the volume, a bit each.
-    open: u32,
+    /// By channel, premultiplied, opacity last.
+    pixels: [Lanes; 4],
+    /// 1 for rays that are neither opaque nor outside of the volume, else 0.
+    open: Lanes,
     /// Positions between which all lanes are inside the volume.
     inside: (f32, f32),
     /// Lengths of rays in units of the table's.
@@ -116,6 +147,16 @@ struct State {
     light: [Lanes; 2],
     /// What was added to the pixels since then.
     since: Lanes,
+    /// Positions on the table's axis at the end of the last slab.
+    front: Lanes,
+    /// The layer that `front` is in front of.
+    reached: usize,
+    /// The next layer in which something may show, if there is one.
+    next: Option<usize>,
+    /// Where layers end.
+    end: usize,
+    /// The cells of the next layer that the packet touches.
+    cells: Cells,
 }
 
 /// Light is taken from the slab before until this much of a pixel was made with it: half a step of an 8-bit
@@ -123,92 +164,214 @@ struct State {
 /// asked for in vain.
 const STALE_LIGHT: f32 = 0.5 / 255.0;
 
-impl State {
-    /// The lanes of `shown` whose light must be asked for anew.
+/// Where slabs have their middles: all of them within a layer, or each where its ray is cut.
+#[derive(Clone, Copy)]
+enum Middles<'a> {
+    Slice { t: f32, fraction: f32 },
+    Rays(&'a Lanes),
+}
+
+impl Middles<'_> {
     #[inline(always)]
-    fn unlit(&mut self, shown: u32, slabs: &[Vec4; LANES]) -> u32 {
-        let mut unlit = 0;
-        for lane in 0..LANES {
-            let since = self.since[lane] + slabs[lane].w * (1.0 - self.pixels[lane].w);
-            let stale = since > STALE_LIGHT;
-            self.since[lane] = if stale { 0.0 } else { since };
-            unlit |= u32::from(stale) << lane;
+    fn of(&self, lane: usize) -> f32 {
+        match *self {
+            Self::Slice { t, .. } => t,
+            Self::Rays(middles) => middles[lane],
         }
-        unlit & shown
     }
 }
 
-impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composite<'_, T, S, LIT, SCALED> {
+impl State {
+    /// Some ray goes on.
     #[inline(always)]
-    fn pixels(&self, packet: &Packet) -> [Vec4; LANES] {
-        let Walk { sampler, skip, steps, .. } = self.walk;
-        let open = packet.hits();
-        let per_length = self.walk.per_length;
-        let ratio = per_length.map_or([1.0; LANES], |per_length| packet.length.map(|length| length * per_length));
-        let mut state = State {
-            pixels: [Vec4::ZERO; LANES],
-            open,
-            inside: packet.inside(open),
-            ratio,
-            light: [[0.0; LANES]; 2],
-            since: [f32::INFINITY; LANES],
-        };
-        let (enter, leave) = packet.span();
-        let end = (leave.ceil() as usize).min(sampler.dims()[packet.axis] - 1);
-        let step = 1.0 / *steps as f32;
-        let mut front = [0.0; LANES];
-        let (mut layer, mut reached) = (enter.floor() as usize, usize::MAX);
-        while state.open != 0 {
-            layer = skip.next_layer(packet, layer, end);
-            if layer >= end {
-                break;
-            }
-            if layer != reached {
-                front = self.coordinates(sampler.on_slice(packet, layer));
-            }
-            for n in 1..=*steps {
-                let back = self.coordinates(if n == *steps {
-                    sampler.on_slice(packet, layer + 1)
-                } else {
-                    sampler.between(packet, layer, n as f32 * step)
-                });
-                let from = layer as f32 + (n - 1) as f32 * step;
-                self.slabs(packet, &mut state, [from, layer as f32 + n as f32 * step], &front, &back);
-                front = back;
-            }
-            layer += 1;
-            reached = layer;
+    fn is_open(&self) -> bool {
+        any(&self.open)
+    }
+
+    /// Lanes whose light must be asked for anew (1, else 0), of those that show something of `opacity`.
+    #[inline(always)]
+    fn unlit(&mut self, opacity: &Lanes) -> Lanes {
+        let mut unlit = [0.0; LANES];
+        for lane in 0..LANES {
+            let since = self.since[lane] + opacity[lane] * (1.0 - self.pixels[3][lane]) * self.open[lane];
+            let shown = opacity[lane] * self.open[lane] > 0.0;
+            let stale = since > STALE_LIGHT;
+            unlit[lane] = if stale && shown { 1.0 } else { 0.0 };
+            self.since[lane] = if stale && shown { 0.0 } else { since };
         }
-        state.pixels
+        unlit
+    }
+}
+
+/// Some number is not 0.
+#[inline(always)]
+fn any(numbers: &Lanes) -> bool {
+    let mut bits = 0;
+    for lane in 0..LANES {
+        bits |= numbers[lane].to_bits();
+    }
+    bits != 0
+}
+
+impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composite<'_, T, S, LIT, SCALED> {
+    type Buffers = Buffers;
+
+    #[inline(always)]
+    fn pixels(&self, tile: &[Packet], buffers: &mut Buffers, out: &mut [[Vec4; LANES]]) {
+        let mut rows = tile.len();
+        while rows > 1 && self.cells(&tile[..rows]) > TILE_CELLS {
+            rows = rows.div_ceil(2);
+        }
+        for (packets, out) in tile.chunks(rows.max(1)).zip(out.chunks_mut(rows.max(1))) {
+            self.tile(packets, buffers);
+            for (state, out) in buffers.states.iter().zip(out) {
+                *out = patch::columns(&state.pixels);
+            }
+        }
     }
 }
 
 impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S, LIT, SCALED> {
-    #[inline(always)]
-    fn coordinates(&self, mut codes: Lanes) -> Lanes {
-        for code in &mut codes {
-            *code = self.table.coordinate(*code);
-        }
-        codes
+    /// Cells of a layer that a tile lies over, at its first or its last slice.
+    fn cells(&self, packets: &[Packet]) -> usize {
+        let dims = self.walk.sampler.dims();
+        let last = (dims[packets[0].axis] - 1) as f32;
+        let at = |t: f32| {
+            let ends = [&packets[0], &packets[packets.len() - 1]];
+            let [a, b] = ends.map(|packet| Cells::touched(packet, [t, t], dims));
+            a.with(b).count()
+        };
+        let spans = [0, packets.len() - 1].map(|n| packets[n].span());
+        at(spans[0].0.min(spans[1].0).max(0.0)).max(at(spans[0].1.max(spans[1].1).min(last)))
     }
 
-    /// The slabs of all lanes between two slice positions.
+    /// Before the first slice.
     #[inline(always)]
-    fn slabs(&self, packet: &Packet, state: &mut State, [from, to]: [f32; 2], front: &Lanes, back: &Lanes) {
+    fn start(&self, packet: &Packet) -> State {
+        let dims = self.walk.sampler.dims();
+        let hits = packet.hits();
+        let mut open = [0.0; LANES];
+        for lane in 0..LANES {
+            open[lane] = if hits >> lane & 1 == 1 { 1.0 } else { 0.0 };
+        }
+        let per_length = self.walk.per_length;
+        let (enter, leave) = packet.span();
+        let end = (leave.ceil() as usize).min(dims[packet.axis] - 1);
+        let mut state = State {
+            pixels: [[0.0; LANES]; 4],
+            open,
+            inside: packet.inside(hits),
+            ratio: per_length.map_or([1.0; LANES], |per_length| packet.length.map(|length| length * per_length)),
+            light: [[0.0; LANES]; 2],
+            since: [f32::INFINITY; LANES],
+            front: [0.0; LANES],
+            reached: usize::MAX,
+            next: None,
+            end,
+            cells: Cells { first: [0; 2], last: [0; 2] },
+        };
+        self.go_on(packet, &mut state, enter.floor() as usize);
+        state
+    }
+
+    /// Finds the next layer from `layer` on.
+    #[inline(always)]
+    fn go_on(&self, packet: &Packet, state: &mut State, layer: usize) {
+        let next = self.walk.skip.next_layer(packet, layer, state.end);
+        state.next = if next < state.end { Some(next) } else { None };
+        state.cells = Cells::touched(packet, [next as f32, (next + 1) as f32], self.walk.sampler.dims());
+    }
+
+    /// Takes the packets of a tile through the volume.
+    #[inline(always)]
+    fn tile(&self, packets: &[Packet], Buffers { patch, states }: &mut Buffers) {
+        let Walk { scanlines, steps, .. } = self.walk;
+        let dims = self.walk.sampler.dims();
+        states.clear();
+        for packet in packets {
+            let state = self.start(packet);
+            states.push(state);
+        }
+        let Packet { axis, reversed, .. } = packets[0];
+        let [i, j] = IN_SLICE[axis];
+        let dims = [dims[i], dims[j], dims[axis]];
+        let step = 1.0 / *steps as f32;
+        loop {
+            // The next layer of any packet, and all cells of it that are looked at.
+            let mut ahead: Option<(usize, Cells)> = None;
+            for state in states.iter() {
+                let Some(next) = state.next else { continue };
+                ahead = match ahead {
+                    Some((layer, cells)) if layer == next => Some((layer, cells.with(state.cells))),
+                    Some((layer, cells)) if layer < next => Some((layer, cells)),
+                    _ => Some((next, state.cells)),
+                };
+            }
+            let Some((layer, cells)) = ahead else { return };
+            patch.enter(&scanlines[axis], dims, cells, layer, reversed);
+            for n in 1..=*steps {
+                let back = if n == *steps {
+                    Slice::Far
+                } else {
+                    patch.interpolate(n as f32 * step);
+                    Slice::Between
+                };
+                let from = layer as f32 + (n - 1) as f32 * step;
+                let to = layer as f32 + n as f32 * step;
+                let fraction = (n as f32 - 0.5) * step;
+                for (packet, state) in packets.iter().zip(states.iter_mut()) {
+                    if state.next != Some(layer) {
+                        continue;
+                    }
+                    if n == 1 && state.reached != layer {
+                        let places = patch.places(packet, &state.cells, layer as f32);
+                        state.front = self.table.coordinates(patch.scalars(Slice::Near, &places));
+                    }
+                    let places = patch.places(packet, &state.cells, to);
+                    let back = self.table.coordinates(patch.scalars(back, &places));
+                    self.slabs(packet, state, patch, [from, to], fraction, &back);
+                    state.front = back;
+                }
+            }
+            for (packet, state) in packets.iter().zip(states.iter_mut()) {
+                if state.next == Some(layer) {
+                    state.reached = layer + 1;
+                    state.next = None;
+                    if state.is_open() {
+                        self.go_on(packet, state, layer + 1);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The slabs of all lanes between two slice positions of a layer, with their middles a `fraction` of
+    /// the way through it.
+    #[inline(always)]
+    fn slabs(
+        &self,
+        packet: &Packet,
+        state: &mut State,
+        patch: &mut Patch,
+        [from, to]: [f32; 2],
+        fraction: f32,
+        back: &Lanes,
+    ) {
         if from < state.inside.0 || to > state.inside.1 {
-            self.ends(packet, state, [from, to], front, back);
+            self.ends(packet, state, patch, [from, to], back);
             return;
         }
         let mut slabs = [Vec4::ZERO; LANES];
         for lane in 0..LANES {
-            slabs[lane] = self.table.slab(front[lane], back[lane]);
+            slabs[lane] = self.table.slab(state.front[lane], back[lane]);
         }
-        self.blend(packet, state, &[0.5 * (from + to); LANES], slabs, &[1.0; LANES]);
+        let middles = Middles::Slice { t: 0.5 * (from + to), fraction };
+        self.blend(packet, state, patch, middles, &slabs, &[1.0; LANES]);
     }
 
     /// Slabs some of which are cut by an end of their ray.
     #[inline(never)]
-    fn ends(&self, packet: &Packet, state: &mut State, [from, to]: [f32; 2], front: &Lanes, back: &Lanes) {
+    fn ends(&self, packet: &Packet, state: &mut State, patch: &mut Patch, [from, to]: [f32; 2], back: &Lanes) {
         let mut slabs = [Vec4::ZERO; LANES];
         let (mut middles, mut shares) = ([from; LANES], [1.0; LANES]);
         for lane in 0..LANES {
@@ -224,112 +387,196 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                     self.table.coordinate(sampler.scalar(sampler.position(packet, lane, t)))
                 }
             };
-            slabs[lane] = self.table.slab(coordinate(enter, from, front[lane]), coordinate(leave, to, back[lane]));
+            slabs[lane] =
+                self.table.slab(coordinate(enter, from, state.front[lane]), coordinate(leave, to, back[lane]));
             middles[lane] = 0.5 * (enter + leave);
             shares[lane] = (leave - enter) / (to - from);
         }
-        self.blend(packet, state, &middles, slabs, &shares);
+        self.blend(packet, state, patch, Middles::Rays(&middles), &slabs, &shares);
     }
 
-    /// Puts slabs around slice positions behind their lanes' pixels; `shares` are their lengths in the
-    /// table's.
+    /// Puts slabs behind their lanes' pixels; `shares` are their lengths in the table's.
     #[inline(always)]
-    fn blend(&self, packet: &Packet, state: &mut State, middles: &Lanes, mut slabs: [Vec4; LANES], shares: &Lanes) {
-        // Which lanes show something?
-        let mut shown = 0;
+    fn blend(
+        &self,
+        packet: &Packet,
+        state: &mut State,
+        patch: &mut Patch,
+        middles: Middles<'_>,
+        slabs: &[Vec4; LANES],
+        shares: &Lanes,
+    ) {
+        let [mut red, mut green, mut blue, mut opacity] = patch::rows(slabs);
+        // Does any lane show something?
+        let mut shown = [0.0; LANES];
         for lane in 0..LANES {
-            shown |= u32::from(slabs[lane].w > 0.0) << lane;
+            shown[lane] = opacity[lane] * state.open[lane];
         }
-        shown &= state.open;
-        if shown == 0 {
+        if !any(&shown) {
             return;
         }
         let by_gradient = SCALED && self.walk.gradient_opacity.is_some();
-        let asked = if by_gradient {
-            shown
-        } else if LIT {
-            state.unlit(shown, &slabs)
-        } else {
-            0
-        };
-        let gradients = if asked != 0 { self.gradients(packet, middles, asked) } else { [[0.0; LANES]; 3] };
-        self.scale(state, &gradients, &mut slabs, shares);
+        let unlit = if LIT && !by_gradient { state.unlit(&opacity) } else { [1.0; LANES] };
+        let asked = (LIT || by_gradient) && any(&unlit);
+        let gradients = if asked { self.gradients(packet, state, patch, middles) } else { [[0.0; LANES]; 3] };
+        let ratios = self.scale(state, &gradients, &mut opacity, shares);
+        if SCALED || matches!(middles, Middles::Rays(_)) {
+            for lane in 0..LANES {
+                red[lane] *= ratios[lane];
+                green[lane] *= ratios[lane];
+                blue[lane] *= ratios[lane];
+            }
+        }
         if LIT && let Some(lighting) = self.walk.lighting {
-            if asked != 0 {
+            if asked {
                 let light = lighting.shade(&gradients, &packet.to_eye);
                 for lane in 0..LANES {
-                    if asked >> lane & 1 == 1 {
-                        [state.light[0][lane], state.light[1][lane]] = [light[0][lane], light[1][lane]];
-                    }
+                    state.light[0][lane] = if unlit[lane] > 0.0 { light[0][lane] } else { state.light[0][lane] };
+                    state.light[1][lane] = if unlit[lane] > 0.0 { light[1][lane] } else { state.light[1][lane] };
                 }
             }
-            for lane in 0..LANES {
-                let opacity = Vec4::splat(slabs[lane].w);
-                let lit = (slabs[lane] * state.light[0][lane] + opacity * state.light[1][lane]).min(opacity);
-                slabs[lane] = lit.with_w(slabs[lane].w);
+            for channel in [&mut red, &mut green, &mut blue] {
+                for lane in 0..LANES {
+                    let lit = channel[lane] * state.light[0][lane] + opacity[lane] * state.light[1][lane];
+                    channel[lane] = lit.min(opacity[lane]);
+                }
             }
         }
         if let Some(DepthCueing { front, density }) = self.walk.depth_cueing {
+            let mut cue = [0.0; LANES];
             for lane in 0..LANES {
-                let depth = packet.depth[0][lane] + middles[lane] * packet.depth[1][lane];
-                let cued = slabs[lane] * (front as f32 * (-(density as f32) * depth).exp());
-                slabs[lane] = cued.with_w(slabs[lane].w);
+                cue[lane] = -(density as f32) * (packet.depth[0][lane] + middles.of(lane) * packet.depth[1][lane]);
+            }
+            let cue = exp(&cue);
+            for channel in [&mut red, &mut green, &mut blue] {
+                for lane in 0..LANES {
+                    channel[lane] *= front as f32 * cue[lane];
+                }
             }
         }
-        let mut opaque = 0;
+        let mut seen = [0.0; LANES];
         for lane in 0..LANES {
-            let pixel = state.pixels[lane];
-            let behind = pixel + slabs[lane] * (1.0 - pixel.w);
-            state.pixels[lane] = if shown >> lane & 1 == 1 { behind } else { pixel };
-            opaque |= u32::from(behind.w >= self.walk.opaque) << lane;
+            seen[lane] = (1.0 - state.pixels[3][lane]) * state.open[lane];
         }
-        state.open &= !(opaque & shown);
-    }
-
-    /// World gradients of the lanes that are `shown`, by component.
-    #[inline(always)]
-    fn gradients(&self, packet: &Packet, middles: &Lanes, mut shown: u32) -> [Lanes; 3] {
-        let sampler = &self.walk.sampler;
-        let mut gradients = [[0.0; LANES]; 3];
-        while shown != 0 {
-            let lane = shown.trailing_zeros() as usize % LANES;
-            shown &= shown - 1;
-            let gradient = self.walk.gradient * sampler.differences(sampler.position(packet, lane, middles[lane]));
-            [gradients[0][lane], gradients[1][lane], gradients[2][lane]] = gradient.to_array();
-        }
-        gradients
-    }
-
-    /// Makes opacities of what was looked up for the lengths and gradients that slabs really have.
-    #[inline(always)]
-    fn scale(&self, state: &State, gradients: &[Lanes; 3], slabs: &mut [Vec4; LANES], shares: &Lanes) {
-        if SCALED {
+        for (pixels, slabs) in state.pixels.iter_mut().zip([&red, &green, &blue, &opacity]) {
             for lane in 0..LANES {
-                let mut scale = state.ratio[lane] * shares[lane];
-                if let Some(transfer) = self.walk.gradient_opacity {
+                pixels[lane] += slabs[lane] * seen[lane];
+            }
+        }
+        for lane in 0..LANES {
+            state.open[lane] = if state.pixels[3][lane] >= self.walk.opaque { 0.0 } else { state.open[lane] };
+        }
+    }
+
+    /// World gradients, by component.
+    #[inline(always)]
+    fn gradients(&self, packet: &Packet, state: &State, patch: &mut Patch, middles: Middles<'_>) -> [Lanes; 3] {
+        let [i, j] = IN_SLICE[packet.axis];
+        let columns = [self.walk.gradient.col(i), self.walk.gradient.col(j), self.walk.gradient.col(packet.axis)];
+        match middles {
+            Middles::Slice { t, fraction } => {
+                patch.differentiate(fraction);
+                let places: Places = patch.places(packet, &state.cells, t);
+                let sign = if packet.reversed { -1.0 } else { 1.0 };
+                world([columns[0], columns[1], columns[2] * sign], &patch.gradients(&places))
+            }
+            Middles::Rays(middles) => {
+                let sampler = &self.walk.sampler;
+                let mut differences = [[0.0; LANES]; 3];
+                for lane in 0..LANES {
+                    let along = sampler.differences(sampler.position(packet, lane, middles[lane]));
+                    for (n, axis) in [i, j, packet.axis].into_iter().enumerate() {
+                        differences[n][lane] = along[axis];
+                    }
+                }
+                world(columns, &differences)
+            }
+        }
+    }
+
+    /// Makes opacities of what was looked up for the lengths and gradients that slabs really have, and gives
+    /// the factors on their colours.
+    #[inline(always)]
+    fn scale(&self, state: &State, gradients: &[Lanes; 3], looked_up: &mut Lanes, shares: &Lanes) -> Lanes {
+        let mut ratios = [1.0; LANES];
+        if SCALED {
+            let mut depths = [0.0; LANES];
+            for lane in 0..LANES {
+                depths[lane] = -looked_up[lane] * (state.ratio[lane] * shares[lane]);
+            }
+            if let Some(transfer) = self.walk.gradient_opacity {
+                for lane in 0..LANES {
                     let [x, y, z] = [gradients[0][lane], gradients[1][lane], gradients[2][lane]];
                     let magnitude = (x * x + y * y + z * z).sqrt();
-                    scale *= transfer.gradient_factor(f64::from(magnitude)) as f32;
+                    depths[lane] *= transfer.gradient_factor(f64::from(magnitude)) as f32;
                 }
-                let depth = slabs[lane].w;
-                let opacity = opacity(depth * scale);
-                let color = if depth > 0.0 { opacity / depth } else { 0.0 };
-                slabs[lane] = (slabs[lane] * color).with_w(opacity);
+            }
+            let left = exp(&depths);
+            for lane in 0..LANES {
+                let (depth, opacity) = (looked_up[lane], 1.0 - left[lane]);
+                ratios[lane] = if depth > 0.0 { opacity / depth } else { 0.0 };
+                looked_up[lane] = opacity;
             }
         } else {
             for lane in 0..LANES {
-                let whole = slabs[lane].w;
+                let whole = looked_up[lane];
                 if shares[lane] != 1.0 && whole > 0.0 {
-                    let opacity = 1.0 - (1.0 - whole).powf(shares[lane]);
-                    slabs[lane] = (slabs[lane] * (opacity / whole)).with_w(opacity);
+                    looked_up[lane] = 1.0 - (1.0 - whole).powf(shares[lane]);
+                    ratios[lane] = looked_up[lane] / whole;
                 }
             }
         }
+        ratios
     }
 }
 
-/// Opacity of an optical depth.
+/// World gradients from differences along three axes, whose world gradients for a unit are `columns`.
 #[inline(always)]
-fn opacity(depth: f32) -> f32 {
-    1.0 - (-depth).exp()
+fn world(columns: [Vec3; 3], differences: &[Lanes; 3]) -> [Lanes; 3] {
+    let mut gradients = [[0.0; LANES]; 3];
+    for (axis, gradient) in gradients.iter_mut().enumerate() {
+        let [a, b, c] = [columns[0][axis], columns[1][axis], columns[2][axis]];
+        for lane in 0..LANES {
+            gradient[lane] = a * differences[0][lane] + b * differences[1][lane] + c * differences[2][lane];
+        }
+    }
+    gradients
+}
+
+/// e^x, to 3e-7 of it; x at most 88.
+#[inline(always)]
+fn exp(x: &Lanes) -> Lanes {
+    /// Added to a number, rounds it to an integer and leaves that in the lowest bits.
+    const INTEGER: f32 = 12_582_912.0;
+    let mut powers = [0.0; LANES];
+    for lane in 0..LANES {
+        let x = x[lane].max(-87.0);
+        let shifted = x * std::f32::consts::LOG2_E + INTEGER;
+        let whole = shifted - INTEGER;
+        // ln 2 in two parts, the first of few bits.
+        let rest = (x - whole * 0.693_359_4) + whole * 2.121_944_4e-4;
+        let mut sum = 1.0 / 720.0;
+        for coefficient in [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+            sum = sum * rest + coefficient;
+        }
+        let bits = shifted.to_bits().wrapping_sub(INTEGER.to_bits()).wrapping_add(127) << 23;
+        powers[lane] = sum * f32::from_bits(bits);
+    }
+    powers
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn powers_are_exact_to_a_few_roundings() {
+        for n in -8700..=880 {
+            let x = n as f32 / 100.0;
+            let expected = f64::from(x).exp();
+            let error = (f64::from(exp(&[x; LANES])[3]) - expected) / expected;
+            assert!(error.abs() < 3e-7, "{x}: {error}");
+        }
+        assert_eq!(exp(&[0.0; LANES]), [1.0; LANES]);
+    }
 }

@@ -26,6 +26,7 @@
 
 mod composite;
 mod packet;
+mod patch;
 mod projection;
 mod sampler;
 mod skip;
@@ -40,15 +41,20 @@ use super::{Cancel, Image, RenderError, Scene, Settings, Timings, View, image};
 use crate::render::Blend;
 use crate::volume::Scalars;
 use crate::volume::gradient::Code;
+use crate::volume::scanlines::{AnyScanlines, Scanlines};
 use packet::{IndexRays, LANES, Packet};
 
 /// Rows that one job fills: packets below each other read the same voxels.
 const BAND_HEIGHT: usize = 8;
 
-/// What becomes of a packet: its rays' pixels, premultiplied.
+/// What becomes of packets: their rays' pixels, premultiplied.
 trait Pixels: Sync {
-    /// Walks the slices. Implementations are `#[inline(always)]`.
-    fn pixels(&self, packet: &Packet) -> [Vec4; LANES];
+    /// What a job keeps from tile to tile.
+    type Buffers: Default;
+
+    /// Walks the slices with a tile of packets, which are of one part of the view and lie below each other.
+    /// Implementations are `#[inline(always)]`.
+    fn pixels(&self, tile: &[Packet], buffers: &mut Self::Buffers, out: &mut [[Vec4; LANES]]);
 }
 
 /// A frame in shear-image order.
@@ -61,14 +67,21 @@ pub(super) fn frame(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match scene.prepared.volume().scalars() {
-        Scalars::U8(codes) => of_codes(codes, scene, view, settings, cancel),
-        Scalars::U16(codes) => of_codes(codes, scene, view, settings, cancel),
+    let prepared = scene.prepared;
+    match (prepared.volume().scalars(), [0, 1, 2].map(|axis| prepared.scanlines(axis))) {
+        (Scalars::U8(codes), [AnyScanlines::U8(x), AnyScanlines::U8(y), AnyScanlines::U8(z)]) => {
+            of_codes(codes, [x, y, z], scene, view, settings, cancel)
+        }
+        (Scalars::U16(codes), [AnyScanlines::U16(x), AnyScanlines::U16(y), AnyScanlines::U16(z)]) => {
+            of_codes(codes, [x, y, z], scene, view, settings, cancel)
+        }
+        _ => unreachable!("all copies of a volume's codes are of one type"),
     }
 }
 
 fn of_codes<T: Code>(
     codes: &[T],
+    scanlines: [Scanlines<'_, T>; 3],
     scene: &Scene<'_>,
     view: &View,
     settings: &Settings,
@@ -78,7 +91,7 @@ fn of_codes<T: Code>(
     let rays = IndexRays::new(view, scene.prepared.volume());
     let frame = Frame { rays: &rays, settings, cancel, start };
     match settings.blend {
-        Blend::Composite => composite::frame(codes, scene, &frame),
+        Blend::Composite => composite::frame(codes, scanlines, scene, &frame),
         Blend::Projection(which, window) => projection::frame(codes, scene, &frame, which, window),
     }
 }
@@ -131,23 +144,52 @@ impl<P: Pixels> Kernel for Band<'_, P> {
     fn run(self) -> Self::Output {
         let (width, _) = self.frame.rays.size;
         let mut colors = vec![Vec4::ZERO; width * self.rows];
+        let mut buffers = P::Buffers::default();
+        let (mut rows, mut packets) = (Vec::with_capacity(BAND_HEIGHT), Vec::with_capacity(BAND_HEIGHT));
         for x in (0..width).step_by(LANES) {
             if self.frame.cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
             let lanes = LANES.min(width - x);
-            for row in 0..self.rows {
-                let (y, out) = (self.first + row, &mut colors[row * width + x..][..lanes]);
-                let mut first = 0;
-                while first < lanes {
-                    let end = self.frame.rays.part_end(x, y, first, lanes);
-                    if let Some(packet) = self.frame.rays.packet(x, y, first..end) {
-                        out[first..end].copy_from_slice(&self.pixels.pixels(&packet)[first..end]);
+            // Packets by part; where parts meet, several of a row.
+            for part in self.parts(x, lanes) {
+                rows.clear();
+                packets.clear();
+                for row in 0..self.rows {
+                    let mut first = 0;
+                    while first < lanes {
+                        let end = self.frame.rays.part_end(x, self.first + row, first, lanes);
+                        if let Some(packet) = self.frame.rays.packet(x, self.first + row, first..end)
+                            && (packet.axis, packet.reversed) == part
+                        {
+                            rows.push(row);
+                            packets.push(packet);
+                        }
+                        first = end;
                     }
-                    first = end;
+                }
+                let mut pixels = [[Vec4::ZERO; LANES]; BAND_HEIGHT];
+                self.pixels.pixels(&packets, &mut buffers, &mut pixels[..packets.len()]);
+                for ((packet, row), pixels) in packets.iter().zip(&rows).zip(&pixels) {
+                    let (first, last) = packet.lanes;
+                    colors[row * width + x..][first..=last].copy_from_slice(&pixels[first..=last]);
                 }
             }
         }
         Ok(colors)
+    }
+}
+
+impl<P> Band<'_, P> {
+    /// The parts of the view that `lanes` columns from `x` on have pixels of.
+    fn parts(&self, x: usize, lanes: usize) -> Vec<(usize, bool)> {
+        let rays = self.frame.rays;
+        let corners = [0, lanes - 1].map(|lane| [0, self.rows - 1].map(|row| rays.part(x + lane, self.first + row)));
+        let here = corners[0][0];
+        // The directions of one part are a convex cone: where all corners are in it, all are.
+        if corners.as_flattened().iter().all(|part| *part == here) {
+            return vec![here];
+        }
+        [0, 1, 2].into_iter().flat_map(|axis| [(axis, false), (axis, true)]).collect()
     }
 }

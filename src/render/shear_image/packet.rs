@@ -141,7 +141,7 @@ impl IndexRays {
 
     /// The principal axis of a pixel's ray, and whether it meets slices in descending order.
     #[inline(always)]
-    fn part(&self, x: usize, y: usize) -> (usize, bool) {
+    pub fn part(&self, x: usize, y: usize) -> (usize, bool) {
         let (_, direction) = self.ray(x as f64 + 0.5, y as f64 + 0.5);
         let axis = principal_axis(direction);
         (axis, direction[axis] < 0.0)

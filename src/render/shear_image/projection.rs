@@ -163,8 +163,20 @@ struct Project<'a, T, R> {
 }
 
 impl<T: Code, R: Reduce> Pixels for Project<'_, T, R> {
+    type Buffers = ();
+
     #[inline(always)]
-    fn pixels(&self, packet: &Packet) -> [Vec4; LANES] {
+    fn pixels(&self, tile: &[Packet], (): &mut (), out: &mut [[Vec4; LANES]]) {
+        for (packet, out) in tile.iter().zip(out) {
+            *out = self.packet(packet);
+        }
+    }
+}
+
+impl<T: Code, R: Reduce> Project<'_, T, R> {
+    /// The pixels of a packet.
+    #[inline(always)]
+    fn packet(&self, packet: &Packet) -> [Vec4; LANES] {
         let Walk { sampler, steps, scale, offset, .. } = self.walk;
         let hits = packet.hits();
         let mut open = hits;

@@ -3,15 +3,16 @@
 use std::time::Instant;
 
 use super::{Begun, Pass};
-use crate::classify::preintegration::{Bilinear, Form, Nearest, Slabs};
+use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::composite::lattice::{self, Unit};
 use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::Occupied;
-use crate::render::composite::samples::{VoxelLight, VoxelRows};
+use crate::render::composite::samples::{Quads, VoxelLight, VoxelRows};
 use crate::render::composite::slabs::SlabComposite;
+use crate::render::composite::sources::StoredNormals;
 use crate::render::intermediate::IntermediateImage;
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
-use crate::render::{Lookup, OpacityCorrection, RenderError};
+use crate::render::{Lookup, OpacityCorrection, RenderError, SlabTable};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
@@ -32,13 +33,24 @@ impl Pass<'_> {
         let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
         let tables = self.classification.slabs().expect("the classification is of slabs");
         let making = Instant::now();
-        let table = tables.table(form, (made_for / options.samples_per_voxel as f64) as f32);
-        let preintegration_table = making.elapsed();
-        let begun = match options.lookup {
-            Lookup::Nearest => self.with_table(Nearest(&table), scaled, length, image),
-            Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
-        }?;
-        Ok(Begun { preintegration_table, ..begun })
+        let slab_length = (made_for / options.samples_per_voxel as f64) as f32;
+        match options.table {
+            SlabTable::OneDimensional => {
+                let sums = tables.running_sums(form, slab_length);
+                let preintegration_table = making.elapsed();
+                let begun = self.with_table(OneDimensional(&sums), scaled, length, image)?;
+                Ok(Begun { preintegration_table, ..begun })
+            }
+            SlabTable::TwoDimensional => {
+                let table = tables.table(form, slab_length);
+                let preintegration_table = making.elapsed();
+                let begun = match options.lookup {
+                    Lookup::Nearest => self.with_table(Nearest(&table), scaled, length, image),
+                    Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
+                }?;
+                Ok(Begun { preintegration_table, ..begun })
+            }
+        }
     }
 
     fn with_table<S: Slabs>(
@@ -66,30 +78,22 @@ impl Pass<'_> {
         correction: C,
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
-        match self.scene.prepared.scanlines(self.factorization.principal_axis) {
-            AnyScanlines::U8(scanlines) => self.with_scanlines(lattice, table, correction, scanlines, image),
-            AnyScanlines::U16(scanlines) => self.with_scanlines(lattice, table, correction, scanlines, image),
-        }
-    }
-
-    fn with_scanlines<L: NaiveLattice, S: Slabs, C: Correction, T: Code>(
-        &self,
-        lattice: L,
-        table: S,
-        correction: C,
-        scanlines: Scanlines<'_, T>,
-        image: &mut IntermediateImage,
-    ) -> Result<Begun, RenderError> {
         let Self { scene, factorization, settings, .. } = *self;
-        let light = match (self.table, self.ray_light) {
-            (Some(table), _) => VoxelLight::ByNormal(table.entries()),
-            (None, Some(light)) => VoxelLight::ByRay(light),
-            (None, None) => VoxelLight::Off,
+        let (eight, sixteen);
+        let voxels: &dyn Quads = match scene.prepared.scanlines(factorization.principal_axis) {
+            AnyScanlines::U8(scanlines) => {
+                eight = self.voxel_rows(scanlines);
+                &eight
+            }
+            AnyScanlines::U16(scanlines) => {
+                sixteen = self.voxel_rows(scanlines);
+                &sixteen
+            }
         };
         let composite = SlabComposite {
             lattice,
             factorization,
-            voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, light, scene.transfer),
+            voxels,
             occupied: Occupied::new(self.classification, scene.encodings, factorization),
             table,
             correction,
@@ -100,5 +104,17 @@ impl Pass<'_> {
             cancel: self.cancel,
         };
         self.run(&composite, image)
+    }
+
+    fn voxel_rows<'a, T: Code>(&'a self, scanlines: Scanlines<'a, T>) -> VoxelRows<'a, T> {
+        let light = match (self.table, self.ray_light) {
+            (Some(table), _) => VoxelLight::ByNormal {
+                shades: table.entries(),
+                normals: StoredNormals::new(self.scene.prepared.normals(), self.factorization),
+            },
+            (None, Some(light)) => VoxelLight::ByRay(light),
+            (None, None) => VoxelLight::Off,
+        };
+        VoxelRows::new(scanlines, self.scene.prepared.volume(), self.factorization, light, self.scene.transfer)
     }
 }

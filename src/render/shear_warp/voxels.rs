@@ -7,7 +7,7 @@ use crate::render::composite::lattice::{Scaled, Unit};
 use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::LeafRows;
 use crate::render::composite::samples::{VoxelLight, VoxelRows};
-use crate::render::composite::sources::{Unencoded, VoxelSource};
+use crate::render::composite::sources::{StoredNormals, Unencoded, VoxelSource};
 use crate::render::composite::voxels::{VoxelLattice, Voxels};
 use crate::render::intermediate::IntermediateImage;
 use crate::render::material::{ByNormal, ByRay, Light, Material, SliceTables, Unlit};
@@ -36,6 +36,7 @@ impl Pass<'_> {
         let leaves = LeafRows::new(classification.occupied(), factorization);
         let source = Unencoded {
             voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, VoxelLight::Off, scene.transfer),
+            normals: StoredNormals::new(scene.prepared.normals(), factorization),
             leaves: &leaves,
             tables: classification.tables(),
         };
@@ -44,7 +45,7 @@ impl Pass<'_> {
 
     fn with_source<V: VoxelSource>(&self, source: V, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
         match (self.table, self.ray_light, self.factorization.is_parallel()) {
-            (Some(table), ..) => self.with_light(Unit, source, ByNormal(table), image),
+            (Some(table), ..) => self.with_light(Unit, source, ByNormal::new(table), image),
             (None, Some(light), _) => self.with_light(Scaled, source, ByRay(light), image),
             (None, None, true) => self.with_light(Unit, source, Unlit, image),
             (None, None, false) => self.with_light(Scaled, source, Unlit, image),

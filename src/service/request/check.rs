@@ -334,13 +334,16 @@ impl Refusals {
         self.range("/preintegration/entries", fields.entries.map(f64::from), ENTRIES);
         let samples = fields.samples_per_voxel.map(f64::from);
         self.range("/preintegration/samples_per_voxel", samples, SAMPLES_PER_VOXEL);
-        if matches!(fields.table, Some(super::fields::SlabTableName::OneDimensional)) {
-            self.refuse("/preintegration/table", "1d is not supported by this version");
-        }
+        let table = fields.table.map_or(default.table, SlabTable::from);
+        // Running sums have entries of their own and one way to read them: the same whatever is asked for.
+        let (entries, lookup) = match table {
+            SlabTable::TwoDimensional => (fields.entries, fields.lookup),
+            SlabTable::OneDimensional => (None, None),
+        };
         Preintegration {
-            table: fields.table.map_or(default.table, SlabTable::from),
-            entries: fields.entries.map_or(default.entries, |n| n as usize),
-            lookup: fields.lookup.unwrap_or(default.lookup),
+            table,
+            entries: entries.map_or(default.entries, |n| n as usize),
+            lookup: lookup.unwrap_or(default.lookup),
             opacity_correction: fields.opacity_correction.unwrap_or(default.opacity_correction),
             buffer: fields.buffer.unwrap_or(default.buffer),
             samples_per_voxel: fields.samples_per_voxel.map_or(default.samples_per_voxel, |n| n as usize),

@@ -80,7 +80,8 @@ pub fn set_all<'a>(
             let names = OPTIONS.map(|option| option.name).join(", ");
             return Err(refused(name, format!("unknown parameter, expected one of {names}")));
         };
-        let value = option.kind.read(text).map_err(|expected| refused(name, format!("expected {expected}")))?;
+        let value =
+            option.kind.read(text).map_err(|expected| refused(name, format!("expected {expected}, not {text:?}")))?;
         set(document, option.field, value);
     }
     Ok(())

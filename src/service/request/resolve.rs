@@ -298,6 +298,9 @@ mod tests {
         ] {
             assert_eq!(canonical(&format!(r#"{{"blend": "maximum", {further}}}"#)), projection, "{further}");
         }
+        let running_sums = canonical(r#"{"preintegration": {"table": "1d"}}"#);
+        let with_entries = r#"{"preintegration": {"table": "1d", "entries": 512, "lookup": "nearest"}}"#;
+        assert_eq!(canonical(with_entries), running_sums);
         let ray_cast = canonical(r#"{"algorithm": "raycast"}"#);
         assert_eq!(canonical(r#"{"algorithm": "raycast", "quality": "high", "sample_distance": 0.5}"#), ray_cast);
         let given = |distance: &str, light: &str| {
@@ -339,6 +342,7 @@ mod tests {
             r#"{"depth_cueing": {"density": 2}}"#,
             r#"{"preintegration": {"entries": 100}}"#,
             r#"{"preintegration": {"lookup": "nearest"}}"#,
+            r#"{"preintegration": {"table": "1d"}}"#,
             r#"{"preintegration": {"opacity_correction": "off"}}"#,
             r#"{"preintegration": {"samples_per_voxel": 2}}"#,
             r##"{"transfer_function": {"points": [{"value": 1, "opacity": 0.5, "color": "#ff0000"}]}}"##,

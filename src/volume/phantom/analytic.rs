@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::random;
+use super::shape::Points;
 use crate::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
 /// A volume of 16-bit codes (value = code) at origin 0 with the identity direction, its voxels
@@ -58,7 +59,7 @@ pub fn ramp(n: usize, axis: usize) -> Volume {
 pub fn noise(dims: [usize; 3], seed: u32) -> Volume {
     from_fn(dims, [1.0; 3], |i, j, k| {
         let p = Vec3::new(i as f32, j as f32, k as f32);
-        let octave = |size: f32, seed| random::smooth(p / size, seed);
+        let octave = |size: f32, seed| random::smooth(Points::all(p / size), seed).x;
         let sum =
             octave(12.0, seed) + 0.5 * octave(6.0, seed.wrapping_add(1)) + 0.25 * octave(3.0, seed.wrapping_add(2));
         f64::from(sum.clamp(0.0, 1.0)) * 4000.0

@@ -7,18 +7,19 @@
 //!
 //! To be quick, voxels are made in blocks of 8^3, and these in blocks of 4^3. A part's distance from
 //! a block's middle tells whether it can reach into the block at all: most blocks need no part (air)
-//! or one (brain).
+//! or one (brain). The four voxels of a small block's row are made at once ([`super::shape`]); what only
+//! some of them need is made for all and chosen by lane.
 
 mod brain;
 mod skin;
 mod skull;
 mod vessels;
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::random::{bell, mix};
-use super::shape::{coverage, mirrored, v};
+use super::random::bell;
+use super::shape::{Points, above, at, below, coverage, mirrored, mix, v};
 use crate::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 use vessels::Vessel;
 
@@ -35,6 +36,7 @@ const NOISE: f32 = 7.0;
 /// Edges of blocks, voxels. The small ones divide the large ones, the large ones the volume.
 const BLOCK: usize = 8;
 const SMALL_BLOCK: usize = 4;
+const _: () = assert!(SMALL_BLOCK == 4, "a row of a small block is a row of points");
 /// Further away than anything, mm.
 const FAR: f32 = 1e4;
 
@@ -117,14 +119,20 @@ fn paint_small_block(codes: &mut [u16], [i0, j0, k0]: [usize; 3], corner: Vec3, 
     for k in 0..SMALL_BLOCK {
         for j in 0..SMALL_BLOCK {
             let row = ((k0 + k) % BLOCK * ny + j0 + j) * nx + i0;
+            let values = near.values(row_of_points(corner, j, k));
             for (i, code) in codes[row..row + SMALL_BLOCK].iter_mut().enumerate() {
-                let value = near.value(corner + SPACING * v(i as f32, j as f32, k as f32));
                 let grain = bell((i0 + i) as i32, (j0 + j) as i32, (k0 + k) as i32, 1);
                 // Rounds; the cast saturates at 0.
-                *code = (value + NOISE * grain - INTERCEPT + 0.5) as u16;
+                *code = (values[i] + NOISE * grain - INTERCEPT + 0.5) as u16;
             }
         }
     }
+}
+
+/// The voxels of row (j, k) of the small block whose first one lies at `corner`.
+fn row_of_points(corner: Vec3, j: usize, k: usize) -> Points {
+    let first = corner + SPACING * v(0.0, j as f32, k as f32);
+    at(first.x + SPACING * Vec4::new(0.0, 1.0, 2.0, 3.0), first.y, first.z)
 }
 
 /// Which parts may reach into a block.
@@ -159,20 +167,21 @@ impl Parts {
 
     /// Those of `self` that reach within `reach` mm of `middle`.
     fn within(self, middle: Vec3, reach: f32) -> Self {
+        let middle = Points::all(middle);
         let scalp = skin::scalp(middle);
-        let skin = if self.surface { skin::surface_over(middle, scalp) } else { -FAR };
+        let skin = if self.surface { skin::surface_over(middle, scalp).x } else { -FAR };
         if !self.body || skin > reach {
             return Self { body: false, ..self };
         }
         let m = mirrored(middle);
-        let cavity = if self.brain || self.vault { brain::cavity_under(middle, scalp) } else { FAR };
-        let reaches = |asked: bool, part: fn(Vec3) -> f32| asked && part(m) < reach;
+        let cavity = if self.brain || self.vault { brain::cavity_under(middle, scalp).x } else { FAR };
+        let reaches = |asked: bool, part: fn(Points) -> Vec4| asked && part(m).x < reach;
         let face = reaches(self.face, |m| skull::facial_bones(m) - skull::SEAM);
         // Where the face grows out of the brain case, the latter matters from further away.
         let vault = skull::THICKEST + if face { skull::SEAM } else { 0.0 };
         Self {
             body: true,
-            surface: skin > -reach - skin::depth(middle),
+            surface: skin > -reach - skin::depth(middle).x,
             brain: cavity < reach,
             orbits: reaches(self.orbits, skull::orbits),
             vault: self.vault && cavity > -reach && cavity < reach + vault,
@@ -206,32 +215,37 @@ impl<'a> Near<'a> {
     }
 
     /// Hounsfield units at `p`, without noise.
-    fn value(&self, p: Vec3) -> f32 {
-        let parts = &self.parts;
+    fn values(&self, p: Points) -> Vec4 {
+        let (parts, air, far) = (&self.parts, Vec4::splat(hu::AIR), Vec4::splat(FAR));
         if !parts.body {
-            return hu::AIR;
+            return air;
         }
-        let scalp = if parts.surface || parts.brain || parts.vault { skin::scalp(p) } else { FAR };
-        let skin = if parts.surface { skin::surface_over(p, scalp) } else { -FAR };
-        if skin > 0.5 * BLUR {
-            return hu::AIR;
+        let scalp = if parts.surface || parts.brain || parts.vault { skin::scalp(p) } else { far };
+        let skin = if parts.surface { skin::surface_over(p, scalp) } else { -far };
+        let outside = above(skin, 0.5 * BLUR);
+        if outside.all() {
+            return air;
         }
-        let cavity = if parts.brain || parts.vault { brain::cavity_under(p, scalp) } else { FAR };
-        let mut value = if cavity < -0.5 * BLUR {
-            brain::value(p, cavity)
-        } else {
-            let mut value = skull::deep_soft_tissue(p, parts, skin);
-            if parts.surface {
-                value = skin::layers(p, skin, scalp, value);
-            }
-            value = skull::bones(p, cavity, skin, parts, value);
-            let share = coverage(cavity, BLUR);
-            if share > 0.0 { mix(value, brain::value(p, cavity), share) } else { value }
-        };
+        let cavity = if parts.brain || parts.vault { brain::cavity_under(p, scalp) } else { far };
+        let (deep, shallow) = (below(cavity, -0.5 * BLUR), below(cavity, 0.5 * BLUR));
+        let mut value = if deep.all() { air } else { self.around_the_brain(p, scalp, skin, cavity) };
+        if shallow.any() {
+            let brain = brain::value(p, cavity);
+            value = Vec4::select(deep, brain, mix(value, brain, coverage(cavity, BLUR)));
+        }
         for vessel in &self.vessels {
             value = mix(value, vessel.hu, coverage(vessel.distance(p), BLUR));
         }
-        mix(value, hu::AIR, coverage(-skin, BLUR))
+        Vec4::select(outside, air, mix(value, hu::AIR, coverage(-skin, BLUR)))
+    }
+
+    /// Hounsfield units of flesh and bone at `p`, so far from scalp, skin and the brain's cavity.
+    fn around_the_brain(&self, p: Points, scalp: Vec4, skin: Vec4, cavity: Vec4) -> Vec4 {
+        let mut value = skull::deep_soft_tissue(p, &self.parts, skin);
+        if self.parts.surface {
+            value = skin::layers(p, skin, scalp, value);
+        }
+        skull::bones(p, cavity, skin, &self.parts, value)
     }
 }
 

@@ -4,6 +4,10 @@
 //! integer arithmetic, the interpolation uses nothing but sums and products, which IEEE 754 rounds
 //! alike everywhere (no sines or exponentials, whose last bits depend on the platform).
 
+use glam::Vec4;
+
+use super::shape::{Points, at, mix};
+
 /// A well-mixed hash of a lattice point (the finalizer of MurmurHash3 over a linear combination).
 pub fn hash(x: i32, y: i32, z: i32, seed: u32) -> u32 {
     let mut h = seed
@@ -29,21 +33,32 @@ pub fn bell(x: i32, y: i32, z: i32, seed: u32) -> f32 {
 }
 
 /// Smooth noise in -1..=1 with one random value per unit cube corner, smoothstep between them.
-pub fn smooth(p: glam::Vec3, seed: u32) -> f32 {
-    // Truncation and a correction: cheaper than the library's floor without SSE 4.1.
-    let floor = |x: f32| x as i32 - i32::from(x < x as i32 as f32);
-    let (x, y, z) = (floor(p.x), floor(p.y), floor(p.z));
-    let t = p - glam::Vec3::new(x as f32, y as f32, z as f32);
-    let t = t * t * (glam::Vec3::splat(3.0) - 2.0 * t);
-    let corner = |dx: i32, dy: i32, dz: i32| signed(hash(x + dx, y + dy, z + dz, seed));
-    let row = |dy, dz| mix(corner(0, dy, dz), corner(1, dy, dz), t.x);
-    let plane = |dz| mix(row(0, dz), row(1, dz), t.y);
-    mix(plane(0), plane(1), t.z)
-}
-
-/// `a` at t = 0, `b` at t = 1.
-pub fn mix(a: f32, b: f32, t: f32) -> f32 {
-    a + (b - a) * t
+pub fn smooth(p: Points, seed: u32) -> Vec4 {
+    let cell = at(p.x.floor(), p.y.floor(), p.z.floor());
+    let step = |p: Vec4, cell: Vec4| {
+        let t = p - cell;
+        t * t * (3.0 - 2.0 * t)
+    };
+    let [tx, ty, tz] = [step(p.x, cell.x), step(p.y, cell.y), step(p.z, cell.z)];
+    let corners_of = |x: f32, y: f32, z: f32| -> [f32; 8] {
+        let [x, y, z] = [x, y, z].map(|c| c as i32);
+        std::array::from_fn(|corner| {
+            let [dx, dy, dz] = [0, 1, 2].map(|axis| (corner >> axis & 1) as i32);
+            signed(hash(x + dx, y + dy, z + dz, seed))
+        })
+    };
+    let [x, y, z] = [cell.x, cell.y, cell.z].map(|c| c.to_array());
+    let mut by_lane = [corners_of(x[0], y[0], z[0]); 4];
+    for lane in 1..4 {
+        // Neighbours share a cell more often than not.
+        let same = x[lane] == x[lane - 1] && y[lane] == y[lane - 1] && z[lane] == z[lane - 1];
+        by_lane[lane] = if same { by_lane[lane - 1] } else { corners_of(x[lane], y[lane], z[lane]) };
+    }
+    let [a, b, c, d] = by_lane;
+    let corners: [Vec4; 8] = std::array::from_fn(|corner| Vec4::new(a[corner], b[corner], c[corner], d[corner]));
+    let row = |first: usize| mix(corners[first], corners[first + 1], tx);
+    let plane = |first: usize| mix(row(first), row(first + 2), ty);
+    mix(plane(0), plane(4), tz)
 }
 
 #[cfg(test)]
@@ -61,9 +76,9 @@ mod tests {
 
     #[test]
     fn smooth_noise_is_continuous_and_within_bounds() {
-        let at = |i: i32| smooth(glam::Vec3::new(i as f32 * 0.01, 0.3, -2.7), 1);
+        let noise = |i: i32| smooth(at(i as f32 * 0.01, 0.3, -2.7), 1).x;
         for i in -500..500 {
-            assert!((at(i + 1) - at(i)).abs() < 0.05 && at(i).abs() <= 1.0);
+            assert!((noise(i + 1) - noise(i)).abs() < 0.05 && noise(i).abs() <= 1.0);
         }
     }
 }

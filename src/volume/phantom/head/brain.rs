@@ -1,21 +1,21 @@
 //! What the skull holds: the cavity, the brain's folds, its ventricles.
 
-use glam::Vec3;
+use glam::Vec4;
 
-use super::super::random::{mix, smooth};
-use super::super::shape::{chain, coverage, ellipsoid, join, meet, mirrored, v};
+use super::super::random::smooth;
+use super::super::shape::{Points, below, chain, coverage, ellipsoid, join, meet, mirrored, mix, v};
 use super::{BLUR, hu, skin};
 
 /// Scalp and bone together, mm.
 const COVER: f32 = 13.0;
 
 /// Distance to the inside of the skull, mm: the scalp's form, further in, on a base of three steps.
-pub fn cavity(p: Vec3) -> f32 {
+pub fn cavity(p: Points) -> Vec4 {
     cavity_under(p, skin::scalp(p))
 }
 
 /// The same where the distance to the [`skin::scalp`] is known.
-pub fn cavity_under(p: Vec3, scalp: f32) -> f32 {
+pub fn cavity_under(p: Points, scalp: Vec4) -> Vec4 {
     let m = mirrored(p);
     // The floor falls from the roofs of the eye sockets to the back.
     let front = 14.0 - 0.2 * (p.y + 30.0) - p.z;
@@ -26,23 +26,30 @@ pub fn cavity_under(p: Vec3, scalp: f32) -> f32 {
 }
 
 /// Hounsfield units inside the cavity, whose wall is `cavity` mm away.
-pub fn value(p: Vec3, cavity: f32) -> f32 {
+pub fn value(p: Points, cavity: Vec4) -> Vec4 {
     let m = mirrored(p);
     // The sheets of dura between the hemispheres and over the cerebellum.
-    let tent = p.z - (8.0 + 0.35 * (60.0 - p.y).min(30.0) - 0.12 * m.x);
+    let tent = p.z - (8.0 + 0.35 * (60.0 - p.y).min(Vec4::splat(30.0)) - 0.12 * m.x);
     let below_tent = meet(tent, 8.0 - p.y, 6.0);
     let falx = m.x.max(24.0 - p.z + 0.2 * (p.y.abs() - 20.0));
-    let matter = if below_tent < 0.0 { cerebellum(p, m) } else { cerebrum(p, m, cavity) };
+    let under = below(below_tent, 0.0);
+    let matter = if under.all() { Vec4::ZERO } else { cerebrum(p, m, cavity) };
+    let matter = if under.any() { Vec4::select(under, cerebellum(p, m), matter) } else { matter };
     // Fluid around everything, in the fissures and in the ventricles.
     let matter = mix(matter, hu::FLUID, coverage(falx - 1.4, BLUR));
     let matter = mix(matter, hu::FLUID, coverage(below_tent.abs() - 1.2, BLUR));
     // The ventricles lie deep.
-    let matter = if cavity < -10.0 { mix(matter, hu::FLUID, coverage(ventricles(m), BLUR)) } else { matter };
+    let deep = below(cavity, -10.0);
+    let matter = if deep.any() {
+        Vec4::select(deep, mix(matter, hu::FLUID, coverage(ventricles(m), BLUR)), matter)
+    } else {
+        matter
+    };
     mix(matter, hu::FLUID, coverage(-cavity - 2.0, BLUR))
 }
 
 /// Folded grey matter around white matter, with grey cores.
-fn cerebrum(p: Vec3, m: Vec3, cavity: f32) -> f32 {
+fn cerebrum(p: Points, m: Points, cavity: Vec4) -> Vec4 {
     let fold = smooth(p / 13.0, 21) + 0.45 * smooth(p / 6.5, 22);
     // Where the noise crosses zero runs a furrow, deeper ones where it crosses steeply.
     let depth = -cavity;
@@ -55,17 +62,17 @@ fn cerebrum(p: Vec3, m: Vec3, cavity: f32) -> f32 {
 }
 
 /// Thin leaves, and the brain stem in front of them.
-fn cerebellum(p: Vec3, m: Vec3) -> f32 {
+fn cerebellum(p: Points, m: Points) -> Vec4 {
     let leaf = (p.z + 0.004 * (p.y - 40.0) * (p.y - 40.0) + 3.0 * smooth(p / 16.0, 23)) / 4.2;
     let leaf = (leaf - leaf.floor() - 0.5).abs();
-    let matter = mix(hu::FLUID + 12.0, hu::GREY_MATTER, (leaf * 4.0).min(1.0));
+    let matter = mix(hu::FLUID + 12.0, hu::GREY_MATTER, (leaf * 4.0).min(Vec4::ONE));
     let core = ellipsoid(m, v(12.0, 46.0, -8.0), v(20.0, 18.0, 10.0));
     let stem = chain(p, &[(v(0.0, 2.0, 6.0), 14.0), (v(0.0, 8.0, -12.0), 14.0), (v(0.0, 26.0, -44.0), 8.0)]);
     mix(matter, hu::WHITE_MATTER, coverage(core.min(stem), BLUR))
 }
 
 /// The lateral ventricles' horns, the third and the fourth ventricle.
-fn ventricles(m: Vec3) -> f32 {
+fn ventricles(m: Points) -> Vec4 {
     let lateral = chain(
         m,
         &[

@@ -1,9 +1,9 @@
 //! Vessels full of contrast agent: drawn trunks, and branches that grow by themselves.
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
-use super::super::random::{hash, mix, signed};
-use super::super::shape::{limb, v};
+use super::super::random::{hash, signed};
+use super::super::shape::{Points, at, limb, v};
 use super::{brain, hu, skin};
 
 /// A piece of a vessel: a limb filled to `hu`.
@@ -30,7 +30,7 @@ impl Vessel {
     }
 
     /// mm to its wall.
-    pub fn distance(&self, p: Vec3) -> f32 {
+    pub fn distance(&self, p: Points) -> Vec4 {
         limb(p, self.from, self.to)
     }
 }
@@ -61,7 +61,7 @@ struct Tree {
 /// A surface to grow along, and how far below it, mm.
 #[derive(Clone, Copy)]
 struct Bed {
-    surface: fn(Vec3) -> f32,
+    surface: fn(Points) -> Vec4,
     depth: f32,
 }
 
@@ -72,13 +72,20 @@ const FACE: Bed = Bed { surface: skin::surface, depth: 6.5 };
 impl Bed {
     fn normal(&self, p: Vec3) -> Vec3 {
         const STEP: f32 = 1.5;
-        let along = |axis: Vec3| (self.surface)(p + axis * STEP) - (self.surface)(p - axis * STEP);
-        v(along(Vec3::X), along(Vec3::Y), along(Vec3::Z)).normalize_or(Vec3::Z)
+        let (first, second) = (Vec4::new(STEP, -STEP, 0.0, 0.0), Vec4::new(0.0, 0.0, STEP, -STEP));
+        let across = (self.surface)(at(p.x + first, p.y + second, p.z));
+        let up = (self.surface)(at(p.x, p.y, p.z + first));
+        v(across.x - across.y, across.z - across.w, up.x - up.y).normalize_or(Vec3::Z)
+    }
+
+    /// Of a point above the surface, mm.
+    fn height(&self, p: Vec3) -> f32 {
+        (self.surface)(Points::all(p)).x
     }
 
     /// The point nearby that lies as deep as the bed.
     fn settle(&self, p: Vec3) -> Vec3 {
-        (0..3).fold(p, |p, _| p - self.normal(p) * ((self.surface)(p) + self.depth))
+        (0..3).fold(p, |p, _| p - self.normal(p) * (self.height(p) + self.depth))
     }
 }
 
@@ -110,7 +117,7 @@ impl Tree {
                 if piece < pieces {
                     p += v(self.random(), self.random(), self.random()) * 0.45;
                 }
-                let next = (p, mix(ra, rb, t));
+                let next = (p, ra + (rb - ra) * t);
                 self.vessels.push(Vessel { from: last, to: next, hu });
                 last = next;
             }
@@ -130,7 +137,7 @@ impl Tree {
             heading = (heading - normal * heading.dot(normal)).normalize_or(sideways);
             let next = (bed.settle(tip.0 + heading * PIECE), tip.1 * 0.974);
             // The front edge of a bed is sharp: a branch that cannot settle ends.
-            if ((bed.surface)(next.0) + bed.depth).abs() > 1.5 || next.0.x.abs() < 3.0 {
+            if (bed.height(next.0) + bed.depth).abs() > 1.5 || next.0.x.abs() < 3.0 {
                 return;
             }
             self.vessels.push(Vessel { from: tip, to: next, hu });

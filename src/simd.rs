@@ -5,8 +5,14 @@
 //! (a band of scanlines). Both give the same bits: nothing here fuses a multiplication with an
 //! addition.
 //!
+//! [`prefetch`] stands here too, for it is the other thing that a processor has and the language has not.
+//!
 //! A kernel's functions must be `#[inline(always)]` down to the last: what is not inlined into the
 //! entry below is compiled without its features.
+
+/// Bytes that memory is moved by.
+#[cfg(target_arch = "x86_64")]
+const CACHE_LINE: usize = 64;
 
 /// A job to be compiled for several instruction sets.
 pub trait Kernel {
@@ -30,6 +36,20 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
         return unsafe { with_avx2(kernel) };
     }
     kernel.run()
+}
+
+/// Asks for the memory of `slice` to be brought near, without waiting for it.
+#[inline(always)]
+pub fn prefetch<T>(slice: &[T]) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        let bytes = slice.as_ptr().cast::<i8>();
+        for offset in (0..size_of_val(slice)).step_by(CACHE_LINE) {
+            // SAFETY: a hint that reads nothing, whatever the address.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(bytes.wrapping_add(offset)) };
+        }
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
