@@ -4,7 +4,9 @@
 use std::path::{Path, PathBuf};
 
 use shearwarp::encode::{Format, encode};
-use shearwarp::render::{Algorithm, Background, Camera, Image, Orbit, Projection, Settings, Shading};
+use shearwarp::render::{
+    Algorithm, Background, Camera, Image, Orbit, Preintegration, Projection, Quality, Settings, Shading,
+};
 use shearwarp::volume::phantom;
 
 use crate::scenes::{Prepared, plain, transfer};
@@ -47,20 +49,26 @@ fn check(name: &str, image: &Image) {
 fn a_lit_surface_and_a_translucent_one_look_as_they_did() {
     let function = transfer(&[(0.0, 0.0), (1500.0, 0.0), (1700.0, 0.05), (1900.0, 0.0), (2300.0, 0.0), (2900.0, 0.9)]);
     let scene = Prepared::new(phantom::noise([48, 40, 56], 3), function, 0.002);
-    let settings = |algorithm| Settings {
+    let settings = |algorithm, quality| Settings {
         shading: Some(Shading::default()),
         background: Background::Opaque([0.1, 0.12, 0.2]),
         early_ray_termination: 0.99,
+        quality,
+        preintegration: Preintegration::of(quality),
         ..plain(algorithm)
     };
-    for (name, algorithm, projection, azimuth, elevation) in [
-        ("classified-x", Algorithm::Classified, Projection::Parallel, 75.0, 10.0),
-        ("classified-y", Algorithm::Classified, Projection::Parallel, 190.0, -20.0),
-        ("classified-z", Algorithm::Classified, Projection::Parallel, 30.0, 70.0),
-        ("raycast-perspective", Algorithm::Raycast, Projection::Perspective, 30.0, 20.0),
+    for (name, algorithm, quality, projection, azimuth, elevation) in [
+        ("classified-x", Algorithm::Classified, Quality::Standard, Projection::Parallel, 75.0, 10.0),
+        ("classified-y", Algorithm::Classified, Quality::Standard, Projection::Parallel, 190.0, -20.0),
+        ("classified-z", Algorithm::Classified, Quality::Standard, Projection::Parallel, 30.0, 70.0),
+        ("classified-perspective", Algorithm::Classified, Quality::Standard, Projection::Perspective, 30.0, 20.0),
+        ("preintegrated", Algorithm::Preintegrated, Quality::Standard, Projection::Parallel, 75.0, 10.0),
+        ("preintegrated-perspective", Algorithm::Preintegrated, Quality::Standard, Projection::Perspective, 30.0, 20.0),
+        ("high-perspective", Algorithm::Preintegrated, Quality::High, Projection::Perspective, 30.0, 20.0),
+        ("raycast-perspective", Algorithm::Raycast, Quality::Standard, Projection::Perspective, 30.0, 20.0),
     ] {
         let camera = Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() });
-        let image = scene.frame(&scene.view(&camera, 96, 80), &settings(algorithm));
+        let image = scene.frame(&scene.view(&camera, 96, 80), &settings(algorithm, quality));
         let lit = image.pixels.chunks(3).filter(|p| **p != image.pixels[..3]).count();
         assert!(lit > 800, "{name}: only {lit} pixels show anything");
         check(name, &image);
