@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use indicatif::ProgressBar;
-use shearwarp::encode::animation::Animation;
+use shearwarp::encode::animation::{Animation, MAX_FRAMES};
 use shearwarp::encode::{Format, encode};
 use shearwarp::service::request::RenderRequest;
 
@@ -16,9 +16,6 @@ use super::scene::{RequestArguments, Stage, VolumeArguments, refused};
 /// Seconds that a frame of a turntable is shown: numerator and denominator.
 const FRAME_DELAY: (u16, u16) = (1, 25);
 
-/// Frames of a turntable at most: a tenth of a degree apart.
-const MAX_FRAMES: i64 = 3600;
-
 #[derive(Args, Debug)]
 pub struct Arguments {
     #[command(flatten)]
@@ -27,7 +24,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Render N frames around the vertical axis
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_FRAMES)))]
     turntable: Option<u32>,
     /// png, jpeg, webp or raw [default: by the output's name]
     #[arg(long, value_name = "NAME", value_parser = format)]

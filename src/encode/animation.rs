@@ -8,6 +8,9 @@ use std::io::Write;
 use super::EncodeError;
 use crate::render::Image;
 
+/// Frames of a turntable at most: a tenth of a degree apart.
+pub const MAX_FRAMES: u32 = 3600;
+
 /// An animated PNG under construction; it loops for ever.
 pub struct Animation<W: Write> {
     writer: png::Writer<W>,

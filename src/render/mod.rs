@@ -64,7 +64,7 @@ impl Algorithm {
 }
 
 /// How much a frame may cost, and how near to the integral it comes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Quality {
     /// A coarser level of the volume, for dragging.

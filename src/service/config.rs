@@ -35,6 +35,7 @@ pub struct Config {
     pub log: Log,
     pub http: Http,
     pub render: Render,
+    pub stream: Stream,
     pub image: Image,
     pub volume: Volume,
     pub cache: Cache,
@@ -79,6 +80,12 @@ pub struct Render {
     pub retry_after_seconds: NonZeroU64,
     #[serde(rename = "deadline_seconds", deserialize_with = "seconds")]
     pub deadline: Duration,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stream {
+    pub max_streams: NonZeroUsize,
 }
 
 #[derive(Clone, Debug, Deserialize)]

@@ -8,6 +8,7 @@ use std::any::Any;
 
 use axum::Json;
 use axum::extract::rejection::PathRejection;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -41,6 +42,15 @@ pub enum Problem {
     UnsupportedMediaType {
         expected: &'static str,
         got: String,
+    },
+    /// The route speaks WebSocket, the request does not.
+    UpgradeRequired(String),
+    /// A page of another origin opened a WebSocket: browsers would let it read the frames.
+    ForeignOrigin(String),
+    /// As many streams are open as may be.
+    TooManyStreams {
+        limit: usize,
+        retry_after: u64,
     },
     /// Values that were understood and cannot be served; each with its field.
     Refused(Vec<InvalidField>),
@@ -80,6 +90,9 @@ impl Problem {
             Self::UnsupportedMediaType { .. } => {
                 (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", "Unsupported media type")
             }
+            Self::UpgradeRequired(_) => (StatusCode::UPGRADE_REQUIRED, "upgrade-required", "WebSocket only"),
+            Self::ForeignOrigin(_) => (StatusCode::FORBIDDEN, "foreign-origin", "Page of another origin"),
+            Self::TooManyStreams { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too-many-streams", "Too many streams"),
             Self::Refused(_) => (StatusCode::UNPROCESSABLE_ENTITY, "refused", "Refused value"),
             Self::Busy { .. } => (StatusCode::SERVICE_UNAVAILABLE, "busy", "Too busy"),
             Self::Loading { .. } => (StatusCode::SERVICE_UNAVAILABLE, "loading", "Volume still loading"),
@@ -97,12 +110,19 @@ impl Problem {
             Self::NoSuchPreset(name) => format!("there is no preset {name:?}; GET /v1/presets lists them"),
             Self::MethodNotAllowed => "the header Allow lists this route's methods".into(),
             Self::NotAcceptable => {
-                "frames come as image/png, image/jpeg, image/webp or application/octet-stream".into()
+                "Accept names nothing that this route can answer; /openapi.yaml lists what it can".into()
             }
             Self::BodyTimeout => "the request's body did not arrive in time".into(),
             Self::VolumeFailed { id, detail } => format!("volume {id:?} could not be loaded: {detail}"),
             Self::BodyTooLarge { limit } => format!("expected a body of at most {limit} bytes"),
             Self::UnsupportedMediaType { expected, got } => format!("expected a body of type {expected}, got {got}"),
+            Self::UpgradeRequired(detail) => format!("expected a WebSocket handshake: {detail}"),
+            Self::ForeignOrigin(origin) => {
+                format!("expected a page of this service's own address, got one of {origin}")
+            }
+            Self::TooManyStreams { limit, .. } => {
+                format!("{limit} streams are open, more may not be; Retry-After says when to come back")
+            }
             Self::Refused(fields) => {
                 let all: Vec<_> = fields.iter().map(|f| format!("{}: {}", f.pointer, f.detail)).collect();
                 all.join("; ")
@@ -119,7 +139,9 @@ impl Problem {
     /// Seconds after which a client may come back, where that helps.
     fn retry_after(&self) -> Option<u64> {
         match self {
-            Self::Busy { retry_after } | Self::Loading { retry_after, .. } => Some(*retry_after),
+            Self::Busy { retry_after }
+            | Self::Loading { retry_after, .. }
+            | Self::TooManyStreams { retry_after, .. } => Some(*retry_after),
             _ => None,
         }
     }
@@ -145,24 +167,33 @@ pub struct FieldBody {
     pub detail: String,
 }
 
-impl IntoResponse for Problem {
-    fn into_response(self) -> Response {
+impl Problem {
+    /// The body of its answer.
+    pub fn body(&self) -> ProblemBody {
         let (status, slug, title) = self.kind();
-        let detail = self.detail();
-        let retry_after = self.retry_after();
         let errors = match self {
-            Self::Refused(fields) => fields,
-            _ => vec![],
+            Self::Refused(fields) => &fields[..],
+            _ => &[],
         };
-        let body = ProblemBody {
+        let field = |f: &InvalidField| FieldBody { pointer: f.pointer.clone(), detail: f.detail.clone() };
+        ProblemBody {
             r#type: format!("urn:shearwarp:problem:{slug}"),
             title: title.into(),
             status: status.as_u16(),
-            detail,
-            errors: errors.into_iter().map(|f| FieldBody { pointer: f.pointer, detail: f.detail }).collect(),
-        };
-        let mut response = (status, Json(body)).into_response();
+            detail: self.detail(),
+            errors: errors.iter().map(field).collect(),
+        }
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let retry_after = self.retry_after();
+        let mut response = (self.kind().0, Json(self.body())).into_response();
         let headers = response.headers_mut();
+        if matches!(self, Self::UpgradeRequired(_)) {
+            headers.insert(header::UPGRADE, HeaderValue::from_static("websocket"));
+        }
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
         if let Some(seconds) = retry_after {
@@ -176,6 +207,12 @@ impl IntoResponse for Problem {
 pub fn panicked(_payload: Box<dyn Any + Send>) -> Response {
     super::metrics::panicked();
     Problem::Internal("a defect ended this request").into_response()
+}
+
+impl From<WebSocketUpgradeRejection> for Problem {
+    fn from(rejection: WebSocketUpgradeRejection) -> Self {
+        Self::UpgradeRequired(rejection.body_text())
+    }
 }
 
 impl From<PathRejection> for Problem {

@@ -77,7 +77,7 @@ pub async fn from_query(
 }
 
 /// The body of a request that says it is JSON; empty where there is none.
-async fn read_json(app: &App, request: Request) -> Result<Bytes, Problem> {
+pub(super) async fn read_json(app: &App, request: Request) -> Result<Bytes, Problem> {
     let content_type = request.headers().get(header::CONTENT_TYPE).cloned();
     let got = content_type.as_ref().map_or("none", |value| value.to_str().unwrap_or("an unreadable one"));
     let unsupported = || Problem::UnsupportedMediaType { expected: "application/json", got: got.to_owned() };
@@ -105,7 +105,7 @@ fn refused_body(app: &App, rejection: &BytesRejection) -> Problem {
 }
 
 /// A frame that can be had, with all that it depends on.
-struct Asked {
+pub(super) struct Asked {
     arrived: Instant,
     id: String,
     volume: Arc<LoadedVolume>,
@@ -115,9 +115,10 @@ struct Asked {
 }
 
 /// A frame and what it took.
-struct Made {
-    size: [u32; 3],
-    bytes: Vec<u8>,
+pub(super) struct Made {
+    /// Width, height, channels.
+    pub size: [u32; 3],
+    pub bytes: Vec<u8>,
     queue: Duration,
     prepare: Duration,
     stages: Timings,
@@ -126,7 +127,7 @@ struct Made {
 
 impl Asked {
     /// The last step that refuses; nothing has been queued or built for the request before it.
-    fn new(
+    pub fn new(
         app: &App,
         id: String,
         volume: Arc<LoadedVolume>,
@@ -140,13 +141,41 @@ impl Asked {
         Ok(Self { arrived, id, volume, frame, format, etag })
     }
 
+    /// The algorithm that it is made by.
+    pub fn algorithm(&self) -> &'static str {
+        self.frame.settings.algorithm.name()
+    }
+
+    /// The format of its bytes.
+    pub fn format(&self) -> Format {
+        self.format
+    }
+
+    async fn rendered(self, app: &App) -> Result<Response, Problem> {
+        let made = self.made(app, app.pool.admit()?).await?;
+        Ok(self.answer(made))
+    }
+
     /// Renders within the deadline. Dropping this future, as the server does when the client
     /// leaves, cancels the work.
-    async fn rendered(self, app: &App) -> Result<Response, Problem> {
-        let ticket = app.pool.admit()?;
+    pub async fn made(&self, app: &App, ticket: Ticket) -> Result<Made, Problem> {
         let making = self.make(app, &ticket);
-        let made = tokio::time::timeout(app.config.render.deadline, making).await.map_err(|_| Problem::Deadline)??;
-        Ok(self.answer(made))
+        tokio::time::timeout(app.config.render.deadline, making).await.map_err(|_| Problem::Deadline)?
+    }
+
+    /// What each stage took, `total` from when it was asked for; counted with it.
+    pub fn stages(&self, made: &Made) -> [(&'static str, Duration); 7] {
+        let stages = [
+            ("queue", made.queue),
+            ("prepare", made.prepare + made.stages.preintegration_table),
+            ("shade", made.stages.shade),
+            ("composite", made.stages.composite),
+            ("warp", made.stages.warp),
+            ("encode", made.encode),
+            ("total", self.arrived.elapsed()),
+        ];
+        stages.iter().for_each(|(stage, duration)| metrics::stage(stage, *duration));
+        stages
     }
 
     async fn make(&self, app: &App, ticket: &Ticket) -> Result<Made, Problem> {
@@ -181,18 +210,9 @@ impl Asked {
     }
 
     fn answer(&self, made: Made) -> Response {
-        let stages = [
-            ("queue", made.queue),
-            ("prepare", made.prepare + made.stages.preintegration_table),
-            ("shade", made.stages.shade),
-            ("composite", made.stages.composite),
-            ("warp", made.stages.warp),
-            ("encode", made.encode),
-            ("total", self.arrived.elapsed()),
-        ];
-        stages.iter().for_each(|(stage, duration)| metrics::stage(stage, *duration));
+        let stages = self.stages(&made);
         let timing = stages.map(|(stage, duration)| format!("{stage};dur={:.3}", duration.as_secs_f64() * 1000.0));
-        let algorithm = self.frame.settings.algorithm.name();
+        let algorithm = self.algorithm();
         let mut response = Body::from(made.bytes).into_response();
         response.extensions_mut().insert(Rendered { volume: self.id.clone(), algorithm });
         let headers = response.headers_mut();

@@ -47,6 +47,8 @@ fn describe() {
     describe_counter!("shearwarp_deadlines_total", "Requests that ended with 504");
     describe_gauge!("shearwarp_queue_depth", "Requests that wait for their turn");
     describe_gauge!("shearwarp_jobs_running", "Jobs on the render pool");
+    describe_gauge!("shearwarp_streams", "WebSocket streams that are open");
+    describe_counter!("shearwarp_stream_frames_total", "Frames sent over WebSocket streams");
     describe_gauge!("shearwarp_encodings", "Run-length encodings in memory");
     describe_gauge!("shearwarp_encodings_bytes", "Bytes of run-length encodings in memory");
     describe_gauge!("shearwarp_encodings_building", "Run-length encodings in the making");
@@ -79,6 +81,11 @@ pub fn stage(stage: &'static str, duration: Duration) {
 /// A request found the queue full.
 pub fn refused() {
     counter!("shearwarp_refused_total").increment(1);
+}
+
+/// A frame goes out over a stream.
+pub fn streamed() {
+    counter!("shearwarp_stream_frames_total").increment(1);
 }
 
 /// A panic was caught.
@@ -122,6 +129,7 @@ pub fn cache_folder(outcome: &'static str) {
 pub struct Gauges {
     pub waiting: usize,
     pub running: usize,
+    pub streams: usize,
     pub cache: CacheSize,
     /// (ready, loading, failed)
     pub volumes: (usize, usize, usize),
@@ -135,6 +143,7 @@ pub fn render(gauges: Gauges) -> String {
     let _guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     gauge!("shearwarp_queue_depth").set(gauges.waiting as f64);
     gauge!("shearwarp_jobs_running").set(gauges.running as f64);
+    gauge!("shearwarp_streams").set(gauges.streams as f64);
     gauge!("shearwarp_encodings").set(gauges.cache.encodings as f64);
     gauge!("shearwarp_encodings_bytes").set(gauges.cache.encoding_bytes as f64);
     gauge!("shearwarp_encodings_building").set(gauges.cache.building as f64);

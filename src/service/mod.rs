@@ -1,7 +1,8 @@
 //! HTTP over the library; the only folder that knows tokio.
 //!
 //! One frame's way: [`router`] -> `frames` (parse the request; refuse here) -> `render_pool` (a
-//! place, or 503) -> `classified` (tables; on a miss one job builds them while others wait) -> render and encode on the pool -> headers. What can go wrong is in `error`, what an operator
+//! place, or 503) -> `classified` (tables; on a miss one job builds them while others wait) -> render and encode on the pool ->
+//! headers. A `stream` asks for frames in the same way, over one connection. What can go wrong is in `error`, what an operator
 //! may choose in [`config`], what is measured in `metrics`.
 
 mod cache_folder;
@@ -20,6 +21,8 @@ pub mod request;
 pub mod router;
 mod server;
 mod store;
+mod stream;
+mod turntable;
 mod viewer;
 mod volumes;
 
@@ -37,6 +40,7 @@ use classified::ClassifiedCache;
 use config::{Config, LogFormat};
 use render_pool::RenderPool;
 use store::Store;
+use stream::Streams;
 
 /// Why the service did not start. While it runs, nothing ends it but a signal.
 #[derive(Debug, thiserror::Error)]
@@ -61,6 +65,7 @@ pub struct App {
     config: Config,
     pool: RenderPool,
     store: Store,
+    streams: Streams,
 }
 
 /// A service that has its address and is not yet running.
@@ -92,7 +97,8 @@ impl Service {
         let failed = |error| ServeError::Listen { address: config.listen, error };
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        Ok(Self { listener, address, app: Arc::new(App { config, pool, store }) })
+        let streams = Streams::new(config.stream.max_streams.get());
+        Ok(Self { listener, address, app: Arc::new(App { config, pool, store, streams }) })
     }
 
     /// Where it listens; the port is the real one where 0 was asked for.
@@ -106,7 +112,7 @@ impl Service {
         let loading = tokio::spawn(loading::load_all(Arc::clone(&self.app)));
         let upkeep = tokio::spawn(metrics::upkeep());
         let router = router::router(Arc::clone(&self.app));
-        server::run(self.listener, router, &self.app.config.http, shutdown).await;
+        server::run(self.listener, router, &self.app.config.http, shutdown, self.app.streams.close()).await;
         loading.abort();
         upkeep.abort();
     }

@@ -6,18 +6,25 @@ use mediatype::MediaType;
 
 use crate::encode::Format;
 
-/// The format that `Accept` prefers among `offered`; `None` where it accepts none of them. Without
-/// the header, or with one that cannot be read, the first one offered.
+/// The format that `Accept` prefers among `offered`.
 pub fn format(headers: &HeaderMap, offered: &[Format]) -> Option<Format> {
+    let types: Vec<_> = offered.iter().map(|format| format.media_type()).collect();
+    choose(headers, &types).map(|at| offered[at])
+}
+
+/// Which of the `offered` media types `Accept` prefers; `None` where it accepts none of them. Without
+/// the header, or with one that cannot be read, the first one offered.
+pub fn choose(headers: &HeaderMap, offered: &[&str]) -> Option<usize> {
+    let first = (!offered.is_empty()).then_some(0);
     let Some(accept) = joined(headers, header::ACCEPT).and_then(|text| text.parse::<Accept>().ok()) else {
-        return offered.first().copied();
+        return first;
     };
     if accept.media_types().next().is_none() {
-        return offered.first().copied();
+        return first;
     }
-    let types: Vec<_> = offered.iter().map(|f| MediaType::parse(f.media_type()).expect("our own are valid")).collect();
-    let chosen = accept.negotiate(&types)?;
-    offered.iter().copied().find(|f| chosen.to_string() == f.media_type())
+    let types: Vec<_> = offered.iter().map(|name| MediaType::parse(name).expect("our own are valid")).collect();
+    let chosen = accept.negotiate(&types)?.to_string();
+    offered.iter().position(|name| chosen == *name)
 }
 
 /// True where `If-None-Match` names `etag` (weak comparison, as RFC 9110 13.1.2 asks) or is `*`.

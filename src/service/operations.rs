@@ -53,7 +53,8 @@ pub async fn readyz(State(app): State<Arc<App>>) -> Response {
 pub async fn metrics(State(app): State<Arc<App>>) -> Response {
     let cache = app.store.classified.size().await;
     let (waiting, running) = (app.pool.waiting(), app.pool.running());
-    let text = metrics::render(Gauges { waiting, running, cache, volumes: app.store.counts() });
+    let (streams, volumes) = (app.streams.open(), app.store.counts());
+    let text = metrics::render(Gauges { waiting, running, streams, cache, volumes });
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
 }
 

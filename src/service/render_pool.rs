@@ -91,6 +91,15 @@ impl RenderPool {
         Ok(Ticket { pool: self.clone(), place: Some(Arc::new(place)) })
     }
 
+    /// A place for a client that waits for it; there may be no more of those than are bounded elsewhere.
+    ///
+    /// # Errors
+    /// Never, as long as the pool is there.
+    pub async fn place(&self) -> Result<Ticket, PoolError> {
+        let place = Arc::clone(&self.places).acquire_owned().await.map_err(|_closed| PoolError::Panicked)?;
+        Ok(Ticket { pool: self.clone(), place: Some(Arc::new(place)) })
+    }
+
     /// A ticket for the service's own work at its start, which must not be refused.
     pub fn own_work(&self) -> Ticket {
         Ticket { pool: self.clone(), place: None }

@@ -10,7 +10,7 @@
 
 mod check;
 mod fields;
-mod json;
+pub(super) mod json;
 mod options;
 mod resolve;
 
@@ -134,6 +134,17 @@ impl RenderRequest {
     ) -> Result<Self, RequestError> {
         let mut document = json::parse(bytes)?;
         options::set_all(&mut document, options)?;
+        Self::from_value(document, Spelling::Json)
+    }
+
+    /// Reads a request from a document that is JSON already; `quality` stands in for its own.
+    ///
+    /// # Errors
+    /// [`RequestError::Refused`], as for JSON.
+    pub(super) fn from_document(mut document: Value, quality: Quality) -> Result<Self, RequestError> {
+        if let Value::Object(members) = &mut document {
+            members.insert("quality".into(), quality.name().into());
+        }
         Self::from_value(document, Spelling::Json)
     }
 

@@ -11,9 +11,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::server::graceful::GracefulShutdown;
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto::Builder;
+use hyper_util::server::graceful::{GracefulShutdown, Watcher};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -25,22 +25,31 @@ use super::config;
 /// before the next attempt can do better.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves until `shutdown` is done, then lets answers finish for at most `config.shutdown`.
-pub async fn run(listener: TcpListener, router: Router, config: &config::Http, shutdown: impl Future<Output = ()>) {
+/// Serves until `shutdown` is done, then lets answers finish and streams close (which is what `close_streams` does) for at
+/// most `config.shutdown`.
+pub async fn run(
+    listener: TcpListener,
+    router: Router,
+    config: &config::Http,
+    shutdown: impl Future<Output = ()>,
+    close_streams: impl Future<Output = ()>,
+) {
     let graceful = GracefulShutdown::new();
     let places = Arc::new(Semaphore::new(config.max_connections.get().min(Semaphore::MAX_PERMITS)));
+    let timeouts = [config.header_timeout, config.write_timeout];
     let mut shutdown = std::pin::pin!(shutdown);
     loop {
         let (stream, place) = tokio::select! {
             accepted = accept(&listener, &places) => accepted,
             () = &mut shutdown => break,
         };
-        tokio::spawn(connection(stream, place, router.clone(), config, graceful.watcher()));
+        tokio::spawn(connection(stream, place, router.clone(), timeouts, graceful.watcher()));
     }
     drop(listener);
     tracing::info!(connections = graceful.count(), "shutting down");
-    match tokio::time::timeout(config.shutdown, graceful.shutdown()).await {
-        Ok(()) => tracing::info!("every answer is out"),
+    let ended = async { tokio::join!(graceful.shutdown(), close_streams) };
+    match tokio::time::timeout(config.shutdown, ended).await {
+        Ok(_) => tracing::info!("every answer is out"),
         Err(_) => tracing::warn!("the deadline for the shutdown has passed; what still ran is dropped"),
     }
 }
@@ -59,33 +68,30 @@ async fn accept(listener: &TcpListener, places: &Arc<Semaphore>) -> (TcpStream, 
     }
 }
 
-/// The future of one connection; `place` is held as long.
-fn connection(
+/// One connection to its end, or to where it becomes a stream; `place` is held as long.
+async fn connection(
     stream: TcpStream,
     place: OwnedSemaphorePermit,
     router: Router,
-    config: &config::Http,
-    watcher: hyper_util::server::graceful::Watcher,
-) -> impl Future<Output = ()> + use<> {
+    [header_timeout, write_timeout]: [Duration; 2],
+    watcher: Watcher,
+) {
     // A frame's head and body are small writes that must not wait for each other's acknowledgement.
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!(%error, "no TCP_NODELAY");
     }
     let mut stream = TimeoutStream::new(stream);
     // No timeout for reads: hyper reads while an answer is made, to see whether the client leaves.
-    stream.set_write_timeout(Some(config.write_timeout));
-    let mut builder = http1::Builder::new();
-    builder.timer(TokioTimer::new()).header_read_timeout(config.header_timeout);
+    stream.set_write_timeout(Some(write_timeout));
+    let mut builder = Builder::new(TokioExecutor::new()).http1_only();
+    builder.http1().timer(TokioTimer::new()).header_read_timeout(header_timeout);
     let io = TokioIo::new(Box::pin(stream));
-    let connection = builder.serve_connection(io, TowerToHyperService::new(router));
-    let watched = watcher.watch(connection);
-    async move {
-        if let Err(error) = watched.await {
-            // Clients leave, send no HTTP, or take too long: their affair, not an operator's.
-            tracing::debug!(%error, "connection ended");
-        }
-        drop(place);
+    let connection = builder.serve_connection_with_upgrades(io, TowerToHyperService::new(router));
+    if let Err(error) = watcher.watch(connection).await {
+        // Clients leave, send no HTTP, or take too long: their affair, not an operator's.
+        tracing::debug!(%error, "connection ended");
     }
+    drop(place);
 }
 
 /// Done when the process is asked to end: SIGTERM or SIGINT.

@@ -8,5 +8,7 @@ mod frames;
 mod overload;
 mod service;
 mod shutdown;
+mod stream;
+mod turntable;
 mod viewer;
 mod volumes;
