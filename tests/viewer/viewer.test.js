@@ -150,6 +150,20 @@ test('the transfer function can be edited, undone and done again', async () => {
   await close();
 });
 
+test('of points close to each other the nearest one is taken', async () => {
+  const { page, close } = await arrived();
+  const points = page.locator('.transfer-plot .point');
+  await points.nth(6).waitFor();
+  await page.locator('.transfer-plot').scrollIntoViewIfNeeded();
+  for (let i = 0; i < (await points.count()); i++) {
+    const box = await points.nth(i).boundingBox();
+    assert.ok(box);
+    await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+    assert.ok(await points.nth(i).evaluate((point) => point.classList.contains('selected') && point === document.activeElement), `point ${i}`);
+  }
+  await close();
+});
+
 test('presets switch the look, and an edit starts from the preset', async () => {
   const { page, errors, close } = await arrived();
   const first = await picture(page);
@@ -321,6 +335,8 @@ test('a restart of the service is survived', async () => {
   await drag(seen.page, '#view', [0.5, 0.5], [0.6, 0.5]);
   await seen.page.getByText('The service does not answer').waitFor();
   assert.ok((await picture(seen.page)).shown > 0.05, 'the last picture stays');
+  const icon = await seen.page.locator('.message .icon use').boundingBox();
+  assert.ok(icon && icon.width > 5, 'icons need no service');
   const risen = await Service.start(new URL(mortal.address).host);
   await seen.page.getByRole('button', { name: 'Try now' }).click({ timeout: 3000 }).catch(() => {});
   await rested(seen.page);
