@@ -54,6 +54,7 @@ static FILES: LazyLock<Vec<File>> = LazyLock::new(|| {
         "js/link.js",
         "js/look-panel.js",
         "js/look.js",
+        "js/looks.js",
         "js/main.js",
         "js/messages.js",
         "js/page.js",

@@ -1,16 +1,17 @@
 /**
  * @file The viewer's parts, made and joined. Everything else happens through the store.
  */
-import { Problem, frame, histogram, listPresets, listVolumes } from './api.js';
+import { Problem, fitted, frame, histogram, listPresets, listVolumes } from './api.js';
 import { ANATOMICAL, between, boundingSphere, described } from './camera.js';
 import { Cube } from './cube.js';
-import { byId } from './dom.js';
+import { byId, takeIcons } from './dom.js';
 import { Frames } from './frames.js';
 import { Input } from './input.js';
 import { LightPanel } from './light-panel.js';
 import { fromHash, toHash } from './link.js';
 import { Look } from './look.js';
 import { LookPanel } from './look-panel.js';
+import { AUTOMATIC } from './looks.js';
 import { Messages } from './messages.js';
 import { tabs, themes, tools } from './page.js';
 import { PresetList } from './presets.js';
@@ -138,11 +139,13 @@ async function enter() {
   const ready = volume();
   if (!ready || ready.id === entered) return;
   entered = ready.id;
-  presets.setVolume(ready);
   look.refresh();
   editor.setHistogram(null);
-  const counted = await histogram(ready.id).catch(() => null);
-  if (volume()?.id === ready.id) editor.setHistogram(counted);
+  const own = ready.default_preset === AUTOMATIC ? fitted(ready.id, null) : null;
+  const [automatic, counted] = await Promise.all([own?.catch(() => null) ?? null, histogram(ready.id).catch(() => null)]);
+  if (volume()?.id !== ready.id) return;
+  presets.setVolume(ready, automatic);
+  editor.setHistogram(counted);
 }
 
 /** Turns to an anatomical view; at once for those who want no motion. @param {keyof typeof ANATOMICAL} name */
@@ -186,4 +189,5 @@ async function load() {
 }
 
 openTab('look');
+takeIcons().catch(() => {}); // Labels and titles say the same.
 load();
