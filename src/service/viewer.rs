@@ -68,6 +68,7 @@ static FILES: LazyLock<Vec<File>> = LazyLock::new(|| {
         "js/transfer-editor.js",
         "js/transfer-plot.js",
         "js/transfer.js",
+        "js/turntable.js",
         "js/vector.js",
         "js/view-panel.js",
         "js/view.js",

@@ -362,7 +362,7 @@ test('a picture is saved at the size that was asked for, and as the command says
   const folder = mkdtempSync(join(tmpdir(), 'viewer-'));
   const { page, close } = await arrived(CALM, { permissions: ['clipboard-read', 'clipboard-write'] });
   const size = (/** @type {string} */ path) => [16, 20].map((at) => readFileSync(path).readUInt32BE(at));
-  await page.getByRole('button', { name: 'Save the picture' }).click();
+  await page.getByRole('button', { name: 'Save a picture' }).click();
   await page.getByLabel('Width').last().fill('321');
   await page.getByLabel('Height').last().fill('234');
   await page.getByLabel('Height').last().blur();
@@ -380,6 +380,44 @@ test('a picture is saved at the size that was asked for, and as the command says
   const shown = await page.evaluate(() => [...document.querySelectorAll('canvas')].map(({ width, height }) => [width, height])[0]);
   assert.deepEqual(size(join(folder, 'frame.png')), shown);
   rmSync(folder, { recursive: true });
+  await close();
+});
+
+test('a turntable is saved as an animated picture, and can be given up', async () => {
+  const folder = mkdtempSync(join(tmpdir(), 'viewer-'));
+  const { page, errors, close } = await arrived();
+  const ask = async (/** @type {string} */ frames) => {
+    await page.getByRole('button', { name: 'Save a picture' }).click();
+    await page.getByRole('radio', { name: 'Turntable' }).check();
+    for (const [label, value] of [['Width', '96'], ['Height', '64'], ['Frames', frames]]) await page.getByLabel(label, { exact: true }).last().fill(value);
+    await page.getByRole('button', { name: 'Save', exact: true }).click();
+  };
+  await ask('700');
+  await page.getByRole('progressbar').waitFor();
+  await page.getByRole('button', { name: 'Cancel' }).click();
+  const downloading = page.waitForEvent('download');
+  await ask('5');
+  const download = await downloading;
+  assert.equal(download.suggestedFilename(), 'demo-turntable.png');
+  await download.saveAs(join(folder, 'turn.png'));
+  await page.getByText('Turntable saved.').waitFor();
+  const seen = await page.evaluate(async (base64) => {
+    const data = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+    const decoder = new ImageDecoder({ data, type: 'image/png' });
+    await decoder.tracks.ready;
+    const pictures = [];
+    for (let frameIndex = 0; frameIndex < (decoder.tracks.selectedTrack?.frameCount ?? 0); frameIndex++) {
+      const { image } = await decoder.decode({ frameIndex });
+      const pixels = new Uint8Array(image.allocationSize({ format: 'RGBA' }));
+      await image.copyTo(pixels, { format: 'RGBA' });
+      pictures.push({ size: [image.displayWidth, image.displayHeight], ms: (image.duration ?? 0) / 1000, sum: pixels.reduce((sum, value, i) => (sum * 31 + value * (i % 7)) % 1e9, 0) });
+    }
+    return pictures;
+  }, readFileSync(join(folder, 'turn.png')).toString('base64'));
+  assert.deepEqual(seen.map(({ size, ms }) => [...size, ms]), Array(5).fill([96, 64, 1200]));
+  assert.equal(new Set(seen.map(({ sum }) => sum)).size, 5, 'each frame is another view');
+  rmSync(folder, { recursive: true });
+  assert.deepEqual(errors, []);
   await close();
 });
 
