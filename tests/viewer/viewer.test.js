@@ -358,6 +358,35 @@ test('a refusal names the field', async () => {
   await close();
 });
 
+test('a link to a scan that is not there shows those that are', async () => {
+  const { page, close } = await visit(browser, `${service.address}/#volume=nothing&quality=standard`);
+  await page.locator('.message.missing').waitFor();
+  assert.match(await page.locator('.message').innerText(), /There is no scan “nothing”/);
+  assert.equal(await page.getByText('The service answers again.').count(), 0);
+  await page.locator('.scans button').first().click();
+  await rested(page);
+  assert.equal(await page.locator('.message').count(), 0);
+  await close();
+});
+
+test('the wheel scrolls the panel, and with Ctrl it enlarges the axis', async () => {
+  const { page, close } = await arrived(CALM, { viewport: { width: 1000, height: 500 } });
+  const point = page.locator('.transfer-plot .point').nth(5);
+  await point.waitFor();
+  await page.locator('.transfer-plot').scrollIntoViewIfNeeded();
+  await page.locator('.transfer-plot').hover();
+  const [top, place] = [await page.locator('#panels').evaluate((panels) => panels.scrollTop), await point.getAttribute('transform')];
+  await page.mouse.wheel(0, 100);
+  await page.waitForFunction((before) => (document.querySelector('#panels')?.scrollTop ?? 0) > before, top);
+  assert.equal(await point.getAttribute('transform'), place);
+  await page.locator('.transfer-plot').hover();
+  await page.keyboard.down('Control');
+  await page.mouse.wheel(0, -100);
+  await page.keyboard.up('Control');
+  await page.waitForFunction((before) => document.querySelectorAll('.transfer-plot .point')[5].getAttribute('transform') !== before, place);
+  await close();
+});
+
 test('a picture is saved at the size that was asked for, and as the command says', async () => {
   const folder = mkdtempSync(join(tmpdir(), 'viewer-'));
   const { page, close } = await arrived(CALM, { permissions: ['clipboard-read', 'clipboard-write'] });

@@ -67,7 +67,7 @@ frames.onFrame.push((shown) => view.show(shown), (shown) => timings.add(shown), 
   // What is in sight, for scripts that wait for it: empty while the view has moved on.
   if (shown.state === store.state) byId('view').dataset.stage = shown.stage;
 });
-frames.onProblem = (/** @type {Problem | null} */ problem) => messages.show(problem);
+frames.onProblem = (/** @type {Problem | null} */ problem) => messages.show(problem?.kind === 'missing' ? missing() : problem);
 frames.onRefining = (/** @type {boolean} */ busy) => byId('view').classList.toggle('refining', busy);
 view.onResize = () => changed(false);
 
@@ -91,6 +91,9 @@ document.addEventListener('keydown', (event) => {
   if (event.shiftKey) look.redo();
   else look.undo();
 });
+
+/** What is wrong with a link to a scan that is not there. */
+const missing = () => new Problem('missing', `There is no scan “${store.state.volume}”. The list has those that there are.`);
 
 /** Another picture is wanted. @param {boolean} moving */
 function changed(moving) {
@@ -134,9 +137,10 @@ let entered = '';
 async function enter() {
   scans.show(volumes);
   const named = volumes.find(({ id }) => id === store.state.volume);
-  byId('scan-name').lastElementChild?.replaceChildren(named?.name ?? store.state.volume);
+  byId('scan-name').lastElementChild?.replaceChildren(named?.name ?? (store.state.volume || 'No scan'));
   document.title = `${named?.name ?? 'Scans'} – shearwarp`;
   const ready = volume();
+  if (!ready && named?.status !== 'loading') openTab('scan');
   if (!ready || ready.id === entered) return;
   entered = ready.id;
   look.refresh();
@@ -172,7 +176,7 @@ async function load() {
     const [all, listed] = await Promise.all([listVolumes(), listPresets()]);
     volumes = all;
     presets.setPresets(listed);
-    messages.show(all.length ? null : new Problem('missing', 'The service has no scans.'));
+    messages.show(all.length ? null : new Problem('missing', 'The service has none; its log says why.'));
   } catch (error) {
     const problem = error instanceof Problem ? error : new Problem('failed', String(error));
     messages.show(problem);
@@ -183,7 +187,7 @@ async function load() {
   const first = volumes.find(({ status }) => status === 'ready') ?? volumes[0];
   if (!store.state.volume && first) store.set({ volume: first.id });
   else changed(false);
-  if (!known && store.state.volume !== first?.id) messages.show(new Problem('missing', `There is no scan “${store.state.volume}”; the list has what there is.`));
+  if (!known && first && store.state.volume !== first.id) messages.show(missing());
   await enter();
   if (volumes.some(({ status }) => status === 'loading')) setTimeout(load, LOADING_PAUSE);
 }

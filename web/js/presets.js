@@ -25,6 +25,7 @@ export class PresetList {
     this.fitting = el('div', { class: 'presets' });
     this.others = el('div', { class: 'presets' });
     this.more = el('details', { class: 'more', ontoggle: () => thumbnails.wake() }, el('summary', {}, 'For other kinds of scans'), this.others);
+    this.more.hidden = true;
     this.element = el('div', { role: 'group', 'aria-label': 'Presets' }, this.fitting, this.more);
     store.subscribe((state, before) => state.transfer !== before.transfer && this.#mark());
   }

@@ -202,11 +202,13 @@ export class TransferEditor {
     event.preventDefault();
   }
 
-  /** Enlarges the axis about the pointer. @param {WheelEvent} event */
+  /** Enlarges the axis about the pointer; without Ctrl, which a pinch has too, the wheel is for the panel. @param {WheelEvent} event */
   #wheel(event) {
+    if (!event.ctrlKey) return;
     event.preventDefault();
     const at = this.plot.value(this.#at(event).x);
-    const factor = Math.exp(Math.max(-200, Math.min(200, event.deltaY)) * 0.002);
+    // A pinch comes in steps of a few, a wheel in steps of a hundred.
+    const factor = Math.exp(Math.max(-40, Math.min(40, event.deltaY)) * 0.01);
     const whole = this.#histogram ? spread([this.#histogram.min, this.#histogram.max], 0.5) : this.plot.domain;
     const low = Math.max(whole[0], at + (this.plot.domain[0] - at) * factor);
     const high = Math.min(whole[1], at + (this.plot.domain[1] - at) * factor);
