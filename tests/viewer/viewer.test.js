@@ -408,6 +408,10 @@ test('a picture is saved at the size that was asked for, and as the command says
   await promisify(execFile)('sh', ['-c', command.replace(/^curl/, 'curl -sf')], { cwd: folder });
   const shown = await page.evaluate(() => [...document.querySelectorAll('canvas')].map(({ width, height }) => [width, height])[0]);
   assert.deepEqual(size(join(folder, 'frame.png')), shown);
+  await page.getByRole('tab', { name: 'View' }).click();
+  await page.getByRole('radio', { name: 'High' }).check();
+  await page.getByRole('button', { name: 'Copy as a curl command' }).click();
+  await page.waitForFunction(async () => (await navigator.clipboard.readText()).includes('"quality":"high"'));
   rmSync(folder, { recursive: true });
   await close();
 });

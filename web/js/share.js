@@ -23,12 +23,18 @@ export class Share {
     this.dialog = dialog;
   }
 
+  /** That of the picture at rest; where it is left to the service's speed, what is always fast. @returns {'draft' | 'standard' | 'high'} */
+  get #quality() {
+    const { quality } = this.store.state;
+    return quality === 'auto' || (quality === 'high' && !rendersHigh(this.store.state)) ? 'standard' : quality;
+  }
+
   copyLink() {
     this.#copy('Link', new URL(toHash(this.store.state), location.href).href);
   }
 
   copyCurl() {
-    this.#copy('Command', curlCommand(this.store.state, this.size(), 'standard', location.href));
+    this.#copy('Command', curlCommand(this.store.state, this.size(), this.#quality, location.href));
   }
 
   /** Browsers give pages of plain HTTP no clipboard, except on this machine: then the text is shown to be copied by hand. @param {string} what @param {string} text */
@@ -55,7 +61,7 @@ export class Share {
   /** Asks for a size, renders at it, and gives the browser a file to keep. */
   savePicture() {
     /** @type {Wanted} */
-    const wanted = { ...this.size(), transparent: false, quality: 'standard', what: 'picture', frames: 90, seconds: 6 };
+    const wanted = { ...this.size(), transparent: false, quality: this.#quality === 'high' ? 'high' : 'standard', what: 'picture', frames: 90, seconds: 6 };
     const limits = { min: 1, max: 4096, step: /** @type {const} */ (1), unit: 'px' };
     const what = choice('What', /** @type {import('./controls.js').Option<Wanted['what']>[]} */ ([
       { value: 'picture', label: 'Picture', hint: 'As it is seen' },
@@ -76,7 +82,7 @@ export class Share {
     const turn = el('div', { class: 'pair', hidden: true }, frames.element, seconds.element);
     const ground = toggle('Transparent background', (on) => (wanted.transparent = on));
     const quality = choice('Quality', /** @type {Quality[]} */ (['standard', 'high']).map((value) => ({ value, label: value })), (value) => (wanted.quality = value));
-    quality.show('standard');
+    quality.show(wanted.quality);
     quality.enableOption('high', rendersHigh(this.store.state));
     const bar = el('progress', { hidden: true, 'aria-label': 'Frames rendered' });
     const progress = el('p', { class: 'hint', role: 'status' });
