@@ -76,7 +76,7 @@ const openTab = tabs(byId('tabs'), byId('panels'), [
   { name: 'scan', label: 'Scan', content: scans.element },
   { name: 'look', label: 'Look', content: new LookPanel(store, look, editor, presets.element).element },
   { name: 'light', label: 'Light', content: new LightPanel(store, look).element },
-  { name: 'view', label: 'View', content: new ViewPanel(store, input).element },
+  { name: 'view', label: 'View', content: new ViewPanel(store, input, look).element },
 ], () => thumbnails.wake());
 themes(byId('theme'));
 tools((tool) => (input.tool = tool));
@@ -127,6 +127,8 @@ function open(id) {
   const { projection, fov_y, azimuth, elevation, roll } = store.state.camera;
   const camera = { ...DEFAULT_CAMERA, projection, fov_y, azimuth, elevation, roll };
   store.set({ volume: id, camera, transfer: null, shading: null, window: null });
+  const window = look.firstWindow(store.state.blend);
+  if (window) store.set({ window });
   enter();
 }
 
