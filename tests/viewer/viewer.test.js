@@ -228,6 +228,9 @@ test('projections, algorithms and light change the picture', async () => {
   await drag(page, '#view', [0.5, 0.5], [0.3, 0.5]);
   await linked(page, 'window', (window) => window !== null);
   await differs();
+  await page.getByLabel('Blend').selectOption('average');
+  await differs();
+  assert.ok((await picture(page)).shown > 0.05, 'averages are mostly air, and seen nevertheless');
   await page.getByLabel('Blend').selectOption('composite');
   await differs();
   await page.getByLabel('Algorithm').selectOption('classified');
