@@ -4,6 +4,7 @@ import { test } from 'node:test';
 import { readTimings } from '../../web/js/api.js';
 import { ANATOMICAL, angles, axes, between, boundingSphere, carried, extent, orbited, panned, spun, swivelled, zoomed } from '../../web/js/camera.js';
 import { fromHash, toHash } from '../../web/js/link.js';
+import { looksFor } from '../../web/js/looks.js';
 import { curlCommand, renderRequest, tidy } from '../../web/js/request.js';
 import { DEFAULTS, DEFAULT_CAMERA, DEFAULT_SHADING } from '../../web/js/state.js';
 import { heightOf, opacityOf, sampled, short, ticks, windowOf, windowed, withChanged, withPoint } from '../../web/js/transfer.js';
@@ -183,4 +184,38 @@ test('numbers are as long as they matter', () => {
 test('server timings are read by name', () => {
   assert.deepEqual(readTimings('queue;dur=0.010, composite;dur=4.2, total;dur=10'), { queue: 0.01, composite: 4.2, total: 10 });
   assert.deepEqual(readTimings(''), {});
+});
+
+/** @type {(values: number[], opacities: number[]) => import('../../web/js/state.js').TransferFunction} */
+const ramp = (values, opacities) => ({ points: values.map((value, i) => ({ value, opacity: opacities[i], color: '#ffffff' })), opacity_distance: 1 });
+const PRESETS = /** @type {import('../../web/js/api.js').Preset[]} */ ([
+  { name: 'both', title: 'Both', modality: ['CT'], values: 'file', shading: true, transfer_function: ramp([-700, 0, 900], [0, 0.1, 1]) },
+  { name: 'bone', title: 'Bone', modality: ['CT'], values: 'file', shading: false, transfer_function: ramp([150, 900], [0, 1]) },
+  { name: 'ramp', title: 'Ramp', modality: [], values: 'range', shading: false, transfer_function: ramp([0, 1], [0, 1]) },
+  { name: 'brain', title: 'Brain', modality: ['MR'], values: 'range', shading: true, transfer_function: ramp([0, 1], [0, 1]) },
+]);
+const SCAN = /** @type {import('../../web/js/api.js').ReadyVolume} */ ({ modality: 'CT', default_preset: 'automatic', value_range: [0, 4000] });
+/** @param {import('../../web/js/state.js').TransferFunction | null} own */
+const looks = (own) => looksFor(PRESETS, SCAN, own && { preset: 'automatic', shading: true, transfer_function: own });
+
+test('a scan in the presets’ units is offered them by name', () => {
+  const { fitting, others } = looks(null);
+  assert.deepEqual(fitting.map(({ transfer }) => transfer), [null, 'both', 'bone', 'ramp']);
+  assert.deepEqual(others.map(({ transfer }) => transfer), ['brain']);
+});
+
+test('a scan whose units are shifted is offered shifted presets', () => {
+  const { fitting } = looks(ramp([324.04, 1024.04, 1924.04], [0, 0.1, 1]));
+  assert.deepEqual(fitting.map(({ name }) => name), ['', 'both', 'bone', 'ramp']);
+  assert.deepEqual(fitting[2].transfer, ramp([1174.04, 1924.04], [0, 1]));
+  assert.equal(fitting[2].shading, false);
+  assert.equal(fitting[3].transfer, 'ramp', 'fractions of the range need no shift');
+});
+
+test('a scan without units is offered its surface and its densest parts', () => {
+  const { fitting, others } = looks(ramp([15, 35, 64, 102, 120, 169], [0, 0.02, 0.02, 0.15, 0.9, 0.9]));
+  assert.deepEqual(fitting.map(({ name }) => name), ['', 'surface', 'dense', 'ramp']);
+  assert.deepEqual(fitting[1].transfer, ramp([15, 25, 169], [0, 0.9, 0.9]));
+  assert.deepEqual(fitting[2].transfer, ramp([102, 120, 169], [0, 0.9, 0.9]));
+  assert.deepEqual(others.map(({ name }) => name), ['both', 'bone', 'brain']);
 });

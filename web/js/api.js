@@ -23,7 +23,7 @@ import { framePath } from './request.js';
  */
 /** @typedef {VolumeHead & Partial<VolumeFacts>} Volume */
 /** @typedef {VolumeHead & VolumeFacts} ReadyVolume */
-/** @typedef {{name: string, title: string, description: string, modality: string[], values: string, shading: boolean}} Preset */
+/** @typedef {{name: string, title: string, description: string, modality: string[], values: 'file' | 'range', shading: boolean, transfer_function: import('./state.js').TransferFunction}} Preset */
 /** @typedef {{bins: number, min: number, max: number, counts: number[]}} Histogram */
 /** @typedef {{preset: string, shading: boolean, transfer_function: import('./state.js').TransferFunction}} Fitted */
 /** @typedef {{blob: Blob, stages: Record<string, number>, algorithm: string, downloaded: number}} FrameAnswer */

@@ -32,8 +32,20 @@ export const el = (tag, attributes = {}, ...children) => filled(document.createE
  */
 export const svg = (tag, attributes = {}, ...children) => filled(document.createElementNS(SVG, tag), attributes, children);
 
+/**
+ * Takes icons.svg into the page. A reference into another file is asked for anew by each icon: what a service that
+ * is gone cannot answer, just when there is a message about it.
+ */
+export async function takeIcons() {
+  const response = await fetch('icons.svg');
+  const { documentElement } = new DOMParser().parseFromString(await response.text(), 'image/svg+xml');
+  documentElement.classList.add('unseen');
+  documentElement.setAttribute('aria-hidden', 'true');
+  document.body.append(documentElement);
+}
+
 /** A symbol of icons.svg; its meaning must stand beside it or in its button's label. @param {string} name */
-export const icon = (name) => svg('svg', { class: 'icon', 'aria-hidden': 'true' }, svg('use', { href: `icons.svg#${name}` }));
+export const icon = (name) => svg('svg', { class: 'icon', 'aria-hidden': 'true' }, svg('use', { href: `#icon-${name}` }));
 
 /** @param {string} name @param {string} label @param {(event: any) => void} onclick @param {Attributes} [more] */
 export const iconButton = (name, label, onclick, more = {}) =>

@@ -86,7 +86,7 @@ function numbers(text, count) {
 }
 
 /** `value:opacity:rrggbb` for each point, then `d` and `g` where they are told. @param {TransferFunction} transfer */
-function writeTransfer({ points, opacity_distance, gradient_opacity }) {
+export function writeTransfer({ points, opacity_distance, gradient_opacity }) {
   const parts = points.map(({ value, opacity, color }) => `${value}:${opacity}:${color.slice(1)}`);
   if (opacity_distance !== undefined) parts.push(`d:${opacity_distance}`);
   if (gradient_opacity?.length) parts.push(...gradient_opacity.map(({ value, opacity }) => `g:${value}:${opacity}`));

@@ -28,10 +28,10 @@ export class LookPanel {
       iconButton('fit-all', 'Show all values', () => editor.showAll()));
     this.point = this.#pointFields();
     this.window = this.#windowFields();
-    this.hint = el('p', { class: 'hint' }, 'Click to add a point, drag to move it, right-click or Delete to remove it. Drag beside the points to shift or stretch all of them.');
+    this.hint = el('p', { class: 'hint' }, 'Click to add a point, drag to move it, right-click or Delete to remove it. Drag beside the points to shift or stretch all of them. Ctrl + wheel or a pinch enlarges the axis.');
     const points = section('Transfer function', bar, editor.element, this.point.element, this.hint);
     const composite = el('div', {}, section('Presets', presets), points);
-    const note = el('p', { class: 'hint' }, 'A projection shows values from black to white: presets and points do not matter to it.');
+    const note = el('p', { class: 'hint' }, 'A projection shows values from black to white: presets and points do not matter to it. Drag with the right button, or with the last tool below the picture, to change the window.');
     this.element = el('div', {}, composite, note, section('Window', this.window.element));
     const show = () => {
       composite.hidden = store.state.blend !== 'composite';

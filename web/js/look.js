@@ -129,6 +129,17 @@ export class Look {
     return this.current && windowOf(this.current, width / 1000);
   }
 
+  /**
+   * What a projection begins with: the scan's range, which requests leave out. Averages are mostly air; they lie in its
+   * lowest quarter. @param {import('./state.js').Blend} blend @returns {import('./state.js').Window | null}
+   */
+  firstWindow(blend) {
+    const range = this.volume()?.value_range;
+    if (blend !== 'average' || !range) return null;
+    const width = short((range[1] - range[0]) / 4, range[1] - range[0]) || 1;
+    return { center: short(range[0] + width / 2, width), width };
+  }
+
   /** @param {import('./state.js').Window} to @param {boolean} [moving] */
   setWindow(to, moving = false) {
     const from = this.window;

@@ -1,16 +1,17 @@
 /**
  * @file The viewer's parts, made and joined. Everything else happens through the store.
  */
-import { Problem, frame, histogram, listPresets, listVolumes } from './api.js';
+import { Problem, fitted, frame, histogram, listPresets, listVolumes } from './api.js';
 import { ANATOMICAL, between, boundingSphere, described } from './camera.js';
 import { Cube } from './cube.js';
-import { byId } from './dom.js';
+import { byId, takeIcons } from './dom.js';
 import { Frames } from './frames.js';
 import { Input } from './input.js';
 import { LightPanel } from './light-panel.js';
 import { fromHash, toHash } from './link.js';
 import { Look } from './look.js';
 import { LookPanel } from './look-panel.js';
+import { AUTOMATIC } from './looks.js';
 import { Messages } from './messages.js';
 import { tabs, themes, tools } from './page.js';
 import { PresetList } from './presets.js';
@@ -66,7 +67,7 @@ frames.onFrame.push((shown) => view.show(shown), (shown) => timings.add(shown), 
   // What is in sight, for scripts that wait for it: empty while the view has moved on.
   if (shown.state === store.state) byId('view').dataset.stage = shown.stage;
 });
-frames.onProblem = (/** @type {Problem | null} */ problem) => messages.show(problem);
+frames.onProblem = (/** @type {Problem | null} */ problem) => messages.show(problem?.kind === 'missing' ? missing() : problem);
 frames.onRefining = (/** @type {boolean} */ busy) => byId('view').classList.toggle('refining', busy);
 view.onResize = () => changed(false);
 
@@ -75,7 +76,7 @@ const openTab = tabs(byId('tabs'), byId('panels'), [
   { name: 'scan', label: 'Scan', content: scans.element },
   { name: 'look', label: 'Look', content: new LookPanel(store, look, editor, presets.element).element },
   { name: 'light', label: 'Light', content: new LightPanel(store, look).element },
-  { name: 'view', label: 'View', content: new ViewPanel(store, input).element },
+  { name: 'view', label: 'View', content: new ViewPanel(store, input, look).element },
 ], () => thumbnails.wake());
 themes(byId('theme'));
 tools((tool) => (input.tool = tool));
@@ -90,6 +91,9 @@ document.addEventListener('keydown', (event) => {
   if (event.shiftKey) look.redo();
   else look.undo();
 });
+
+/** What is wrong with a link to a scan that is not there. */
+const missing = () => new Problem('missing', `There is no scan “${store.state.volume}”. The list has those that there are.`);
 
 /** Another picture is wanted. @param {boolean} moving */
 function changed(moving) {
@@ -123,6 +127,8 @@ function open(id) {
   const { projection, fov_y, azimuth, elevation, roll } = store.state.camera;
   const camera = { ...DEFAULT_CAMERA, projection, fov_y, azimuth, elevation, roll };
   store.set({ volume: id, camera, transfer: null, shading: null, window: null });
+  const window = look.firstWindow(store.state.blend);
+  if (window) store.set({ window });
   enter();
 }
 
@@ -133,16 +139,19 @@ let entered = '';
 async function enter() {
   scans.show(volumes);
   const named = volumes.find(({ id }) => id === store.state.volume);
-  byId('scan-name').lastElementChild?.replaceChildren(named?.name ?? store.state.volume);
+  byId('scan-name').lastElementChild?.replaceChildren(named?.name ?? (store.state.volume || 'No scan'));
   document.title = `${named?.name ?? 'Scans'} – shearwarp`;
   const ready = volume();
+  if (!ready && named?.status !== 'loading') openTab('scan');
   if (!ready || ready.id === entered) return;
   entered = ready.id;
-  presets.setVolume(ready);
   look.refresh();
   editor.setHistogram(null);
-  const counted = await histogram(ready.id).catch(() => null);
-  if (volume()?.id === ready.id) editor.setHistogram(counted);
+  const own = ready.default_preset === AUTOMATIC ? fitted(ready.id, null) : null;
+  const [automatic, counted] = await Promise.all([own?.catch(() => null) ?? null, histogram(ready.id).catch(() => null)]);
+  if (volume()?.id !== ready.id) return;
+  presets.setVolume(ready, automatic);
+  editor.setHistogram(counted);
 }
 
 /** Turns to an anatomical view; at once for those who want no motion. @param {keyof typeof ANATOMICAL} name */
@@ -169,7 +178,7 @@ async function load() {
     const [all, listed] = await Promise.all([listVolumes(), listPresets()]);
     volumes = all;
     presets.setPresets(listed);
-    messages.show(all.length ? null : new Problem('missing', 'The service has no scans.'));
+    messages.show(all.length ? null : new Problem('missing', 'The service has none; its log says why.'));
   } catch (error) {
     const problem = error instanceof Problem ? error : new Problem('failed', String(error));
     messages.show(problem);
@@ -180,10 +189,11 @@ async function load() {
   const first = volumes.find(({ status }) => status === 'ready') ?? volumes[0];
   if (!store.state.volume && first) store.set({ volume: first.id });
   else changed(false);
-  if (!known && store.state.volume !== first?.id) messages.show(new Problem('missing', `There is no scan “${store.state.volume}”; the list has what there is.`));
+  if (!known && first && store.state.volume !== first.id) messages.show(missing());
   await enter();
   if (volumes.some(({ status }) => status === 'loading')) setTimeout(load, LOADING_PAUSE);
 }
 
 openTab('look');
+takeIcons().catch(() => {}); // Labels and titles say the same.
 load();

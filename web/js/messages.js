@@ -19,6 +19,7 @@ const TITLES = {
 export class Messages {
   #countdown = 0;
   #shown = '';
+  /** Whether what is shown may pass by itself. */ #passing = false;
 
   /** @param {HTMLElement} place @param {HTMLElement} spoken a polite live region @param {() => void} retry */
   constructor(place, spoken, retry) {
@@ -34,7 +35,7 @@ export class Messages {
     clearInterval(this.#countdown);
     if (!problem) {
       this.place.replaceChildren();
-      this.say('The service answers again.');
+      if (this.#passing) this.say('The service answers again.');
     } else {
       const wait = el('p', { class: 'wait' });
       const again = el('button', { type: 'button', onclick: () => this.retry() }, 'Try now');
@@ -44,6 +45,7 @@ export class Messages {
       if (problem.passing) this.#count(wait, problem.retryAfter);
     }
     this.#shown = key;
+    this.#passing = problem?.passing ?? false;
   }
 
   /** @param {Problem} problem */

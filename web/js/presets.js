@@ -1,19 +1,19 @@
 /** @file Looks to choose from, each with a picture of this scan in it. */
 import { el } from './dom.js';
+import { writeTransfer } from './link.js';
+import { looksFor } from './looks.js';
 import { emptyImage } from './thumbnails.js';
 
 /** @typedef {import('./api.js').Preset} Preset */
-/** @typedef {import('./api.js').Volume} Volume */
+/** @typedef {import('./api.js').ReadyVolume} ReadyVolume */
+/** @typedef {import('./looks.js').Offer} Offer */
 
-/** Whether a preset is meant for such a scan, as far as the scan says what it is. @param {Preset} preset @param {Volume} volume */
-function fits({ name, modality }, volume) {
-  const words = `${volume.modality ?? ''} ${(volume.default_preset ?? '').slice(0, 3)}`.toUpperCase();
-  const known = /CT|MR/.test(words);
-  return name === volume.default_preset || modality.length === 0 || !known || modality.some((word) => words.includes(word));
-}
+/** A look as its link says it. @param {Offer['transfer']} transfer */
+const written = (transfer) => (transfer === null || typeof transfer === 'string' ? transfer : writeTransfer(transfer));
 
 export class PresetList {
   /** @type {Preset[]} */ #presets = [];
+  /** @type {{button: HTMLElement, transfer: string | null}[]} */ #buttons = [];
 
   /**
    * @param {import('./state.js').Store} store
@@ -25,6 +25,7 @@ export class PresetList {
     this.fitting = el('div', { class: 'presets' });
     this.others = el('div', { class: 'presets' });
     this.more = el('details', { class: 'more', ontoggle: () => thumbnails.wake() }, el('summary', {}, 'For other kinds of scans'), this.others);
+    this.more.hidden = true;
     this.element = el('div', { role: 'group', 'aria-label': 'Presets' }, this.fitting, this.more);
     store.subscribe((state, before) => state.transfer !== before.transfer && this.#mark());
   }
@@ -34,30 +35,29 @@ export class PresetList {
     this.#presets = presets;
   }
 
-  /** @param {Volume} volume a ready one */
-  setVolume(volume) {
-    const automatic = { name: '', title: 'Automatic', description: 'What suits this scan, by its kind and its histogram.' };
-    const wanted = this.#presets.filter((preset) => fits(preset, volume));
-    const rest = this.#presets.filter((preset) => !wanted.includes(preset));
-    this.fitting.replaceChildren(...[automatic, ...wanted].map((preset) => this.#button(preset, volume)));
-    this.others.replaceChildren(...rest.map((preset) => this.#button(preset, volume)));
-    this.more.hidden = rest.length === 0;
+  /** @param {ReadyVolume} volume @param {import('./api.js').Fitted | null} automatic its own look, where that is none of the presets */
+  setVolume(volume, automatic) {
+    const { fitting, others } = looksFor(this.#presets, volume, automatic);
+    this.#buttons = [];
+    // Which kind of scan they are for goes without saying where it is this kind.
+    this.fitting.replaceChildren(...fitting.map((offer) => this.#button(offer, volume, offer.title.replace(/ \(.*\)$/, ''))));
+    this.others.replaceChildren(...others.map((offer) => this.#button(offer, volume, offer.title)));
+    this.more.hidden = others.length === 0;
     this.#mark();
   }
 
-  /** @param {Pick<Preset, 'name' | 'title' | 'description'>} preset @param {Volume} volume */
-  #button({ name, title, description }, volume) {
+  /** @param {Offer} offer @param {ReadyVolume} volume @param {string} label */
+  #button({ name, title, description, transfer, shading }, volume, label) {
     const image = emptyImage();
-    this.thumbnails.fill(image, volume.id, name || null);
-    const onclick = () => this.store.set({ transfer: name || null, shading: null });
-    return el('button', { type: 'button', class: 'preset', title: description, 'data-name': name, onclick }, image, el('span', {}, title));
+    this.thumbnails.fill(image, volume.id, transfer, shading);
+    const onclick = () => this.store.set({ transfer, shading });
+    const button = el('button', { type: 'button', class: 'preset', title: `${title}: ${description}`, 'data-name': name, onclick }, image, el('span', {}, label));
+    this.#buttons.push({ button, transfer: written(transfer) });
+    return button;
   }
 
   #mark() {
-    const { transfer } = this.store.state;
-    for (const button of this.element.querySelectorAll('button')) {
-      const pressed = transfer === null ? button.dataset.name === '' : button.dataset.name === transfer;
-      button.setAttribute('aria-pressed', String(pressed));
-    }
+    const now = written(this.store.state.transfer);
+    for (const { button, transfer } of this.#buttons) button.setAttribute('aria-pressed', String(transfer === now));
   }
 }

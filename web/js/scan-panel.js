@@ -36,7 +36,7 @@ export class ScanPanel {
     const image = emptyImage();
     const line = status === 'ready' ? [modality, dimensions?.join(' × ')].filter(Boolean).join(' · ')
       : status === 'loading' ? 'Being loaded…' : `Could not be loaded: ${detail ?? 'unknown reason'}`;
-    if (status === 'ready') this.thumbnails.fill(image, id, null);
+    if (status === 'ready') this.thumbnails.fill(image, id);
     const words = el('span', {}, el('strong', {}, name), el('small', {}, line));
     const button = el('button', { type: 'button', 'data-id': id, disabled: status !== 'ready', onclick: () => this.open(id) }, image, words);
     return el('li', { class: status, 'data-key': `${id} ${status}` }, button);

@@ -1,13 +1,15 @@
-/** @file What leaves the viewer: a link, a command, a picture. */
+/** @file What leaves the viewer: a link, a command, a picture or a turn of it. */
 import { Problem, frame } from './api.js';
 import { el } from './dom.js';
 import { numberField, toggle, choice } from './controls.js';
 import { rendersHigh } from './frames.js';
 import { toHash } from './link.js';
 import { curlCommand, renderRequest } from './request.js';
+import { turntable } from './turntable.js';
 
 /** @typedef {import('./request.js').Size} Size */
 /** @typedef {'standard' | 'high'} Quality */
+/** @typedef {Size & {transparent: boolean, quality: Quality, what: 'picture' | 'turntable', frames: number, seconds: number}} Wanted */
 
 export class Share {
   /**
@@ -21,12 +23,18 @@ export class Share {
     this.dialog = dialog;
   }
 
+  /** That of the picture at rest; where it is left to the service's speed, what is always fast. @returns {'draft' | 'standard' | 'high'} */
+  get #quality() {
+    const { quality } = this.store.state;
+    return quality === 'auto' || (quality === 'high' && !rendersHigh(this.store.state)) ? 'standard' : quality;
+  }
+
   copyLink() {
     this.#copy('Link', new URL(toHash(this.store.state), location.href).href);
   }
 
   copyCurl() {
-    this.#copy('Command', curlCommand(this.store.state, this.size(), 'standard', location.href));
+    this.#copy('Command', curlCommand(this.store.state, this.size(), this.#quality, location.href));
   }
 
   /** Browsers give pages of plain HTTP no clipboard, except on this machine: then the text is shown to be copied by hand. @param {string} what @param {string} text */
@@ -52,41 +60,62 @@ export class Share {
 
   /** Asks for a size, renders at it, and gives the browser a file to keep. */
   savePicture() {
-    const wanted = { ...this.size(), transparent: false, quality: /** @type {Quality} */ ('standard') };
+    /** @type {Wanted} */
+    const wanted = { ...this.size(), transparent: false, quality: this.#quality === 'high' ? 'high' : 'standard', what: 'picture', frames: 90, seconds: 6 };
     const limits = { min: 1, max: 4096, step: /** @type {const} */ (1), unit: 'px' };
+    const what = choice('What', /** @type {import('./controls.js').Option<Wanted['what']>[]} */ ([
+      { value: 'picture', label: 'Picture', hint: 'As it is seen' },
+      { value: 'turntable', label: 'Turntable', hint: 'Once about the vertical axis, as an animated PNG' },
+    ]), (value) => {
+      wanted.what = value;
+      turn.hidden = value === 'picture';
+    });
+    what.show(wanted.what);
     const width = numberField('Width', { ...limits, change: (value) => (wanted.width = value) });
     const height = numberField('Height', { ...limits, change: (value) => (wanted.height = value) });
     width.show(wanted.width);
     height.show(wanted.height);
+    const frames = numberField('Frames', { min: 2, max: 720, step: 1, change: (value) => (wanted.frames = value) });
+    const seconds = numberField('Duration', { min: 0.1, max: 60, unit: 's', change: (value) => (wanted.seconds = value) });
+    frames.show(wanted.frames);
+    seconds.show(wanted.seconds);
+    const turn = el('div', { class: 'pair', hidden: true }, frames.element, seconds.element);
     const ground = toggle('Transparent background', (on) => (wanted.transparent = on));
     const quality = choice('Quality', /** @type {Quality[]} */ (['standard', 'high']).map((value) => ({ value, label: value })), (value) => (wanted.quality = value));
-    quality.show('standard');
+    quality.show(wanted.quality);
     quality.enableOption('high', rendersHigh(this.store.state));
+    const bar = el('progress', { hidden: true, 'aria-label': 'Frames rendered' });
     const progress = el('p', { class: 'hint', role: 'status' });
     const abort = new AbortController();
     const save = el('button', { type: 'button', class: 'primary', onclick: async () => {
       save.disabled = true;
       progress.textContent = 'Rendering…';
-      const failed = await this.#save(wanted, abort.signal);
+      const failed = await this.#save({ ...wanted }, (done) => {
+        bar.hidden = false;
+        [bar.max, bar.value] = [wanted.frames, done];
+      }, abort.signal);
       save.disabled = false;
+      bar.hidden = true;
       progress.textContent = failed ?? '';
-      if (!failed) this.dialog.close();
+      if (!failed && !abort.signal.aborted) this.dialog.close();
     } }, 'Save');
     this.dialog.addEventListener('close', () => abort.abort(), { once: true });
-    this.#open('Save the picture', el('div', { class: 'pair' }, width.element, height.element), quality.element, ground.element, progress,
+    this.#open('Save', what.element, el('div', { class: 'pair' }, width.element, height.element), turn, quality.element, ground.element, bar, progress,
       el('div', { class: 'buttons' }, el('button', { class: 'quiet' }, 'Cancel'), save));
   }
 
-  /** @param {Size & {transparent: boolean, quality: Quality}} wanted @param {AbortSignal} signal @returns {Promise<string | null>} why not */
-  async #save({ width, height, transparent, quality }, signal) {
+  /** @param {Wanted} wanted @param {(done: number) => void} progress of a turntable @param {AbortSignal} signal @returns {Promise<string | null>} why not */
+  async #save({ width, height, transparent, quality, what, ...turn }, progress, signal) {
     const { state } = this.store;
-    const background = transparent ? 'transparent' : state.background;
+    const shown = { ...state, background: transparent ? 'transparent' : state.background };
+    const size = { width, height };
     try {
-      const { blob } = await frame(state.volume, renderRequest({ ...state, background }, { width, height }, quality), signal);
+      const blob = what === 'turntable' ? await turntable(shown, size, quality, turn, progress, signal)
+        : (await frame(state.volume, renderRequest(shown, size, quality), signal)).blob;
       const href = URL.createObjectURL(blob);
-      el('a', { href, download: `${state.volume}.png` }).click();
+      el('a', { href, download: `${state.volume}${what === 'turntable' ? '-turntable' : ''}.png` }).click();
       setTimeout(() => URL.revokeObjectURL(href), 10_000);
-      this.messages.say('Picture saved.');
+      this.messages.say(what === 'turntable' ? 'Turntable saved.' : 'Picture saved.');
       return null;
     } catch (error) {
       if (signal.aborted) return null;

@@ -3,17 +3,19 @@
  *
  * A list of scans would otherwise ask for as many frames at once as there are scans, just when a person starts to turn one.
  */
-import { Problem, thumbnail } from './api.js';
+import { Problem, frame, thumbnail } from './api.js';
 
 /** Pixels along a side: twice what is shown, for fine screens. */
 const SIDE = 160;
+const CAMERA = { azimuth: 30, elevation: 15, zoom: 1.4 };
 /** Milliseconds between two looks at whether the picture rests. */
 const PAUSE = 150;
 
-/** @typedef {{id: string, preset: string | null, image: HTMLImageElement}} Wish */
+/** @typedef {import('./state.js').State} State */
+/** @typedef {{id: string, transfer: State['transfer'], shading: State['shading'], image: HTMLImageElement}} Wish */
 
 export class Thumbnails {
-  /** Object URLs by scan and preset. @type {Map<string, string>} */ #made = new Map();
+  /** Object URLs by scan and look. @type {Map<string, string>} */ #made = new Map();
   /** @type {Wish[]} */ #wishes = [];
   #working = false;
 
@@ -22,11 +24,11 @@ export class Thumbnails {
     this.idle = idle;
   }
 
-  /** Fills `image` when there is time; images that have left the page are passed over. @param {HTMLImageElement} image @param {string} id @param {string | null} preset */
-  fill(image, id, preset) {
-    const made = this.#made.get(key(id, preset));
+  /** Fills `image` when there is time; images that have left the page are passed over. @param {HTMLImageElement} image @param {string} id @param {State['transfer']} [transfer] @param {State['shading']} [shading] */
+  fill(image, id, transfer = null, shading = null) {
+    const made = this.#made.get(key(id, transfer));
     if (made) image.src = made;
-    else this.#wishes.push({ id, preset, image });
+    else this.#wishes.push({ id, transfer, shading, image });
     this.#work();
   }
 
@@ -51,24 +53,34 @@ export class Thumbnails {
   }
 
   /** @param {Wish} wish */
-  async #grant({ id, preset, image }) {
-    const query = { width: String(SIDE), height: String(SIDE), azimuth: '30', elevation: '15', zoom: '1.4', quality: 'draft' };
+  async #grant(wish) {
+    const { id, transfer, image } = wish;
     try {
-      const blob = await thumbnail(id, { ...query, ...(preset ? { preset } : {}) }, AbortSignal.timeout(20_000));
-      const url = URL.createObjectURL(blob);
-      this.#made.set(key(id, preset), url);
+      const url = URL.createObjectURL(await rendered(wish, AbortSignal.timeout(20_000)));
+      this.#made.set(key(id, transfer), url);
       image.src = url;
     } catch (error) {
       // Busy or gone: it is a decoration, and comes later. Anything else will not get better.
       if (!(error instanceof Problem) || !error.passing) return;
-      this.#wishes.push({ id, preset, image });
+      this.#wishes.push(wish);
       await new Promise((resolve) => setTimeout(resolve, 1000 * error.retryAfter));
     }
   }
 }
 
-/** @param {string} id @param {string | null} preset */
-const key = (id, preset) => `${id}\n${preset ?? ''}`;
+/** By GET where the look has a name, so that caches keep it. @param {Wish} wish @param {AbortSignal} signal @returns {Promise<Blob>} */
+async function rendered({ id, transfer, shading }, signal) {
+  if (transfer === null || typeof transfer === 'string') {
+    const query = { ...CAMERA, width: SIDE, height: SIDE, quality: 'draft', ...(transfer ? { preset: transfer } : {}) };
+    return thumbnail(id, Object.fromEntries(Object.entries(query).map(([name, value]) => [name, String(value)])), signal);
+  }
+  const image = { width: SIDE, height: SIDE, format: 'png' };
+  const request = { camera: CAMERA, image, transfer_function: transfer, ...(shading === null ? {} : { shading }), quality: 'draft' };
+  return (await frame(id, request, signal)).blob;
+}
+
+/** @param {string} id @param {State['transfer']} transfer */
+const key = (id, transfer) => `${id}\n${JSON.stringify(transfer)}`;
 
 /** An empty image that a {@link Thumbnails} may fill. */
 export function emptyImage() {

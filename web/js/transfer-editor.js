@@ -1,9 +1,9 @@
 /**
  * @file Editing a transfer function over the histogram.
  *
- * Points are elements of their own, so that each can be focused, named and moved by keys like a slider, and the
- * browser finds what is under a finger. A click beside them adds one; a drag beside them moves and
- * stretches all (window and level).
+ * Points are elements of their own, so that each can be focused, named and moved by keys like a slider. A pointer
+ * takes the nearest one: they lie closer together than a finger is wide. A click beside them adds one; a drag
+ * beside them moves and stretches all (window and level).
  */
 import { el } from './dom.js';
 import { heightOf, opacityOf, sampled, short, withChanged, withPoint, withoutPoint } from './transfer.js';
@@ -40,6 +40,8 @@ export class TransferEditor {
   #listen() {
     const { element: plot } = this.plot;
     plot.addEventListener('pointerdown', (event) => this.#down(event));
+    // The focus goes to the nearest point too, not to the one that lies on top.
+    plot.addEventListener('mousedown', (event) => this.#at(event).index >= 0 && event.preventDefault());
     plot.addEventListener('pointermove', (event) => this.#move(event));
     plot.addEventListener('pointerup', (event) => this.#up(event));
     plot.addEventListener('pointercancel', () => (this.#drag = null));
@@ -86,9 +88,8 @@ export class TransferEditor {
   /** @param {MouseEvent} event @returns {{x: number, y: number, index: number}} */
   #at(event) {
     const { left, top } = this.plot.element.getBoundingClientRect();
-    const point = event.target instanceof Element ? event.target.closest('.point') : null;
-    const index = point ? [...this.plot.parts.points.children].indexOf(point) : -1;
-    return { x: event.clientX - left, y: event.clientY - top, index };
+    const [x, y] = [event.clientX - left, event.clientY - top];
+    return { x, y, index: this.plot.nearest(this.look.current?.points ?? [], x, y) };
   }
 
   /** @param {PointerEvent} event */
@@ -97,7 +98,7 @@ export class TransferEditor {
     const at = this.#at(event);
     this.plot.element.setPointerCapture(event.pointerId);
     this.#drag = { ...at, moved: false };
-    if (at.index >= 0) this.select(at.index);
+    if (at.index >= 0) this.select(at.index, true);
   }
 
   /** @param {PointerEvent} event */
@@ -183,7 +184,8 @@ export class TransferEditor {
 
   /** @param {KeyboardEvent} event */
   #key(event) {
-    const { index } = this.#at(/** @type {any} */ (event));
+    const point = event.target instanceof Element ? event.target.closest('.point') : null;
+    const index = point ? [...this.plot.parts.points.children].indexOf(point) : -1;
     const transfer = this.look.current;
     if (index < 0 || !transfer) return;
     this.selected = index;
@@ -200,11 +202,13 @@ export class TransferEditor {
     event.preventDefault();
   }
 
-  /** Enlarges the axis about the pointer. @param {WheelEvent} event */
+  /** Enlarges the axis about the pointer; without Ctrl, which a pinch has too, the wheel is for the panel. @param {WheelEvent} event */
   #wheel(event) {
+    if (!event.ctrlKey) return;
     event.preventDefault();
     const at = this.plot.value(this.#at(event).x);
-    const factor = Math.exp(Math.max(-200, Math.min(200, event.deltaY)) * 0.002);
+    // A pinch comes in steps of a few, a wheel in steps of a hundred.
+    const factor = Math.exp(Math.max(-40, Math.min(40, event.deltaY)) * 0.01);
     const whole = this.#histogram ? spread([this.#histogram.min, this.#histogram.max], 0.5) : this.plot.domain;
     const low = Math.max(whole[0], at + (this.plot.domain[0] - at) * factor);
     const high = Math.min(whole[1], at + (this.plot.domain[1] - at) * factor);

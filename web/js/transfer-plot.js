@@ -15,6 +15,8 @@ import { heightOf, opacityOf, sampled, ticks } from './transfer.js';
 const EDGE = { left: 30, right: 10, top: 12, bottom: 34 };
 const STRIP = 8;
 const HEIGHT = 190;
+/** Pixels around a point in which a pointer takes hold of it. */
+const HOLD = 14;
 const LABELLED = [0.001, 0.01, 0.1, 0.5, 1];
 /** Straight pieces for a stretch between two points, which the axis bends. */
 const PIECES = 12;
@@ -66,6 +68,17 @@ export class TransferPlot {
   /** Whether a height is that of the plot and not of the axis below. @param {number} y */
   covers(y) {
     return y <= HEIGHT - EDGE.bottom + STRIP;
+  }
+
+  /** The point that a pointer takes hold of, or -1; of several in one place the last. @param {ControlPoint[]} points @param {number} x @param {number} y */
+  nearest(points, x, y) {
+    let [index, least] = [-1, HOLD];
+    points.forEach((point, i) => {
+      const at = this.x(point.value);
+      const apart = this.#inside(at) ? Math.hypot(at - x, this.y(point.opacity) - y) : Infinity;
+      if (apart <= least) [index, least] = [i, apart];
+    });
+    return index;
   }
 
   /** Width of the domain. */
@@ -165,7 +178,7 @@ export class TransferPlot {
     const group = this.parts.points;
     while (group.children.length > points.length) group.lastElementChild?.remove();
     while (group.children.length < points.length)
-      group.append(svg('g', { class: 'point', role: 'slider', tabindex: 0 }, svg('circle', { class: 'halo', r: 14 }), svg('circle', { class: 'dot', r: 6 })));
+      group.append(svg('g', { class: 'point', role: 'slider', tabindex: 0 }, svg('circle', { class: 'halo', r: HOLD }), svg('circle', { class: 'dot', r: 6 })));
     points.forEach(({ value, opacity, color }, index) => {
       const element = group.children[index];
       const x = this.x(value);

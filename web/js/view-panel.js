@@ -16,8 +16,8 @@ const QUALITY_HINTS = {
 };
 
 export class ViewPanel {
-  /** @param {import('./state.js').Store} store @param {import('./input.js').Input} input */
-  constructor(store, input) {
+  /** @param {import('./state.js').Store} store @param {import('./input.js').Input} input @param {import('./look.js').Look} look */
+  constructor(store, input, look) {
     this.store = store;
     const set = (/** @type {Partial<State>} */ patch) => store.set(patch);
     this.projection = choice('Projection', /** @type {import('./controls.js').Option<Camera['projection']>[]} */ ([
@@ -39,7 +39,7 @@ export class ViewPanel {
       { value: 'maximum', label: 'Maximum intensity' },
       { value: 'minimum', label: 'Minimum intensity' },
       { value: 'average', label: 'Average intensity' },
-    ]), (blend) => set({ blend, window: null }));
+    ]), (blend) => set({ blend, window: look.firstWindow(blend) }));
     this.algorithm = select('Algorithm', /** @type {import('./controls.js').Option<State['algorithm']>[]} */ ([
       { value: 'auto', label: 'Automatic' },
       { value: 'preintegrated', label: 'Pre-integrated slabs' },
