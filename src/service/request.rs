@@ -137,12 +137,12 @@ impl RenderRequest {
         Self::from_value(document, Spelling::Json)
     }
 
-    /// Reads a request from a document that is JSON already; `quality` stands in for its own.
+    /// Reads a request from a document that is JSON already; a `quality` stands in for its own.
     ///
     /// # Errors
     /// [`RequestError::Refused`], as for JSON.
-    pub(super) fn from_document(mut document: Value, quality: Quality) -> Result<Self, RequestError> {
-        if let Value::Object(members) = &mut document {
+    pub(super) fn from_document(mut document: Value, quality: Option<Quality>) -> Result<Self, RequestError> {
+        if let (Some(quality), Value::Object(members)) = (quality, &mut document) {
             members.insert("quality".into(), quality.name().into());
         }
         Self::from_value(document, Spelling::Json)

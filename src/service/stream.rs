@@ -277,7 +277,8 @@ impl Session {
         let moving = told.moving.unwrap_or(self.moving);
         if let Some(document) = document {
             let due = qualities(&document, moving);
-            // Each is read and resolved now, so that a refusal comes at once and changes nothing.
+            // It is read as it stands and resolved at each quality now, so that a refusal comes at once and changes nothing.
+            RenderRequest::from_document(document.clone(), None)?;
             due.iter().try_for_each(|quality| self.asked(&document, *quality).map(drop))?;
             self.take(document, due);
         }
@@ -301,7 +302,7 @@ impl Session {
     }
 
     fn asked(&self, document: &Value, quality: Quality) -> Result<Asked, Problem> {
-        let request = RenderRequest::from_document(document.clone(), quality)?;
+        let request = RenderRequest::from_document(document.clone(), Some(quality))?;
         let format = request.format().unwrap_or(Format::Png);
         Asked::new(&self.app, self.id.clone(), Arc::clone(&self.volume), request, format)
     }
@@ -367,7 +368,7 @@ fn qualities(document: &Value, moving: Quality) -> Vec<Quality> {
     let of_voxels = matches!(document["algorithm"].as_str(), Some("classified" | "fast-classification"));
     let best = if of_voxels { Quality::Standard } else { Quality::High };
     let resting = match own {
-        // A name that is none is refused where the request is read; at this quality it is read.
+        // A name that is none is refused where the request is read.
         Some(name) => ALL.into_iter().find(|quality| quality.name() == name).unwrap_or(best),
         None => best,
     };
