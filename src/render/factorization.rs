@@ -240,6 +240,13 @@ impl Factorization {
         SlicePlacement { first: [first.x as usize, first.y as usize], fraction: fraction.to_array() }
     }
 
+    /// What slice `k` of single voxels stands for, along k and in the order of the walk: half-way to its neighbours.
+    pub fn interval(&self, k: usize) -> [f64; 2] {
+        let last = (self.dims[2] - 1) as f64;
+        let [low, high] = [(k as f64 - 0.5).max(0.0), (k as f64 + 0.5).min(last)];
+        if self.reversed { [high, low] } else { [low, high] }
+    }
+
     /// True where the view has clip planes.
     pub fn is_clipped(&self) -> bool {
         !self.clip.is_empty()
@@ -278,6 +285,36 @@ impl Factorization {
             }
         }
         if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
+    }
+
+    /// Pixels u of scanline `v` of which the clip planes may leave something between two slices, and those of which they
+    /// leave all: half-spaces are convex.
+    pub fn clipped_pixels(&self, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
+        let [a, b] = slices.map(|k| self.visible_pixels(v, k));
+        let whole = a.start.max(b.start)..a.end.min(b.end);
+        let some = match (a.is_empty(), b.is_empty()) {
+            (false, false) => a.start.min(b.start)..a.end.max(b.end),
+            (true, _) => b,
+            (_, true) => a,
+        };
+        [some, whole]
+    }
+
+    /// Where the ray of pixel (u, v) enters and leaves what the clip planes leave between two slices, as fractions
+    /// of the way from the first to the second; the first not below the second where that is nothing.
+    pub fn cut(&self, u: usize, v: usize, slices: [f64; 2]) -> [f32; 2] {
+        let [from, to] = slices.map(|k| self.voxel_from_sheared(u as f64, v as f64, k));
+        let (mut enter, mut leave) = (0.0, 1.0);
+        for half in &self.clip {
+            let [a, b] = [from, to].map(|at| half.normal.dot(at) + half.offset);
+            match (a < 0.0, b < 0.0) {
+                (true, true) => return [1.0, 1.0],
+                (true, false) => enter = f64::max(enter, a / (a - b)),
+                (false, true) => leave = f64::min(leave, a / (a - b)),
+                (false, false) => {}
+            }
+        }
+        [enter as f32, leave as f32]
     }
 
     /// The eye in voxel coordinates i, j, k; `None` where rays are parallel.

@@ -118,7 +118,7 @@ pub struct View {
     rays: Rays,
     /// Unit vector from the eye into the picture, perpendicular to the image plane.
     forward: DVec3,
-    /// Near and far planes of a camera told by matrices.
+    /// Near and far planes of a camera told by matrices, and what else is cut away.
     clip: Vec<HalfSpace>,
 }
 
@@ -285,6 +285,12 @@ impl View {
     /// Unit vector into the picture, perpendicular to the image plane.
     pub fn forward(&self) -> DVec3 {
         self.forward
+    }
+
+    /// The same view of what lies in some half-spaces, besides those that it keeps to already.
+    pub fn clipped(mut self, halves: &[HalfSpace]) -> Self {
+        self.clip.extend_from_slice(halves);
+        self
     }
 
     /// Half-spaces that what is seen must lie in.

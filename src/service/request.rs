@@ -19,7 +19,9 @@ use serde_json::Value;
 pub use crate::classify::InvalidField;
 use crate::classify::TransferFunction;
 use crate::encode::Format;
-use crate::render::{Background, Camera, DepthCueing, IntensityProjection, Preintegration, Quality, Shading};
+use crate::render::{
+    Background, Camera, DepthCueing, HalfSpace, IntensityProjection, Preintegration, Quality, Shading,
+};
 use fields::WindowFields;
 pub use options::{Kind, OPTIONS, RequestOption};
 pub use resolve::{ImageLimits, ResolvedRequest};
@@ -101,6 +103,8 @@ pub struct RenderRequest {
     window: WindowFields,
     preintegration: Preintegration,
     depth_cueing: Option<DepthCueing>,
+    /// What is left, world mm.
+    clip: Vec<HalfSpace>,
     spelling: Spelling,
 }
 
@@ -228,6 +232,8 @@ mod tests {
                 "lights": ["headlight", {"direction": [0, 0, 1], "intensity": 1}]},
             "blend": "composite", "algorithm": "auto", "quality": "standard", "early_ray_termination": 0.99,
             "min_opacity": 0.002, "sample_distance": 0.125, "depth_cueing": {"front": 1.0, "density": 1.0},
+            "clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 1, 0]}, "keep": "outside"},
+                {"box": {"min": [-1, -1, -1], "max": [1, 1, 1]}}],
             "preintegration": {"table": "2d", "entries": 256, "lookup": "bilinear", "opacity_correction": "view",
                 "buffer": "slice", "samples_per_voxel": 1}
         }"##;
@@ -314,6 +320,16 @@ mod tests {
             (r#"{"blend": "maximum", "window": {"level": 40}}"#, "/window/level"),
             (r#"{"blend": "maximum", "window": {"center": 1e13}}"#, "/window/center"),
             (r#"{"blend": "maximum", "window": {"center": 40, "width": 0}}"#, "/window/width"),
+            (r#"{"clip": {}}"#, "/clip"),
+            (r#"{"clip": [{}]}"#, "/clip/0"),
+            (r#"{"clip": [{"sphere": {}}]}"#, "/clip/0/sphere"),
+            (r#"{"clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}}]}"#, "/clip/0/plane/normal"),
+            (r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 0, 1]}}]}"#, "/clip/0/box/max/1"),
+            (r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 1, 1]}, "keep": "outside"}]}"#, "/clip/0/keep"),
+            (
+                r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 1, 1]}, "plane": {"point": [0, 0, 0], "normal": [0, 0, 1]}}]}"#,
+                "/clip/0/box",
+            ),
             (r#"{"depth_cueing": {"front": -1}}"#, "/depth_cueing/front"),
             (r#"{"depth_cueing": {"fog": 1}}"#, "/depth_cueing/fog"),
         ];

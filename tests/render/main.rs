@@ -1,5 +1,6 @@
 //! Frames against closed forms, against slow twins bit for bit, and against each other.
 
+mod clip;
 mod closed_form;
 mod draft;
 mod equivalence;

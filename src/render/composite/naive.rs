@@ -3,6 +3,8 @@
 //! Every pixel gathers from its voxels in every slice anew, each looked up, shaded and weighted, and
 //! tests for itself whether it is opaque. The kernel's pixels must be the same bit for bit.
 
+use std::ops::Range;
+
 use glam::Vec4;
 use rayon::prelude::*;
 
@@ -52,12 +54,17 @@ impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: b
         let mut pixel = Vec4::ZERO;
         for step in 0..f.slices.len() {
             let k = if f.reversed { f.slices.end - 1 - step } else { f.slices.start + step };
-            if f.is_clipped() && !f.visible_pixels(v, k as f64).contains(&u) {
+            let [some, whole] = clipped(f, v, f.interval(k));
+            if !some.contains(&u) {
                 continue;
             }
             let Some(mut sample) = L::on_slice(f, k, [u, v], |i, j| self.color([i, j, k])) else { continue };
             if L::LENGTHS {
                 sample *= opacity_ratio(sample.w, f.relative_length(u, v));
+            }
+            if !whole.contains(&u) {
+                let [enter, leave] = f.cut(u, v, f.interval(k));
+                sample *= if enter < leave { opacity_ratio(sample.w, leave - enter) } else { 0.0 };
             }
             if let Some(cue) = self.cue {
                 sample = (sample * cue.slice(k as f64).scanline(v).at(u)).with_w(sample.w);
@@ -84,6 +91,11 @@ impl<L, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACT
             None => Vec4::ZERO,
         }
     }
+}
+
+/// What clip planes leave of a scanline's pixels: something, and all.
+fn clipped(factorization: &Factorization, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
+    if factorization.is_clipped() { factorization.clipped_pixels(v, slices) } else { [0..usize::MAX, 0..usize::MAX] }
 }
 
 /// True where a pixel lies on a slice.
@@ -115,8 +127,8 @@ impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S
         let mut pixel = Vec4::ZERO;
         for n in self.slabs() {
             let slab = self.place(n);
-            let inside = slab.pixels.contains(&u) && slab.scanlines.contains(&v);
-            if !inside || f.is_clipped() && !f.visible_pixels(v, slab.middle).contains(&u) {
+            let [some, whole] = clipped(f, v, slab.ends);
+            if !(slab.pixels.contains(&u) && slab.scanlines.contains(&v) && some.contains(&u)) {
                 continue;
             }
             let [front, back] = [&slab.front, &slab.back].map(|position| {
@@ -124,11 +136,8 @@ impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S
                 sample.with_x(self.table.coordinate(sample.x))
             });
             let length = if L::LENGTHS { f.relative_length(u, v) * slab.share } else { 1.0 };
-            let mut sample = if self.voxels.is_lit() {
-                self.sample::<true>(front, back, length)
-            } else {
-                self.sample::<false>(front, back, length)
-            };
+            let cut = (!whole.contains(&u)).then(|| f.cut(u, v, slab.ends));
+            let mut sample = self.cut_sample(front, back, length, cut);
             if let Some(cue) = slab.cue {
                 sample = (sample * cue.scanline(v).at(u)).with_w(sample.w);
             }

@@ -18,7 +18,7 @@ use super::mask::{Mask, Runs};
 use super::rows::Row;
 use super::scaled::{Columns, add};
 use super::sources::VoxelSource;
-use super::voxels::{VoxelLattice, Voxels};
+use super::voxels::{VoxelLattice, Voxels, cut};
 use super::{WORD, clear_bits, first_run, over, run_mask};
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
@@ -112,7 +112,13 @@ impl VoxelLattice for Scaled {
                 }
             }
             scratch.shade(voxels.source, first, k, material);
-            scratch.blend(&mut scanline, row * f.size[0], first, cue.map(|cue| cue.scanline(v)), voxels.opaque);
+            let whole = match f.is_clipped() {
+                true => f.clipped_pixels(v, f.interval(k))[1].clone(),
+                false => 0..usize::MAX,
+            };
+            let left = |u| voxels.left(u, v, k, &whole);
+            let cue = cue.map(|cue| cue.scanline(v));
+            scratch.blend(&mut scanline, row * f.size[0], first, cue, (&whole, left), voxels.opaque);
         }
     }
 }
@@ -165,7 +171,8 @@ impl Scratch {
         }
         let mut any = self.pixels.keep(scanline.non_opaque, &at.us);
         if any && at.factorization.is_clipped() {
-            any = self.pixels.keep(scanline.non_opaque, &at.factorization.visible_pixels(at.v, at.k as f64));
+            let [some, _] = at.factorization.clipped_pixels(at.v, at.factorization.interval(at.k));
+            any = self.pixels.keep(scanline.non_opaque, &some);
         }
         if any {
             self.columns.fill(&at.along_u, &at.us);
@@ -215,6 +222,7 @@ impl Scratch {
         lengths: usize,
         first: usize,
         cue: Option<ScanlineCue<'_>>,
+        (whole, left): (&Range<usize>, impl Fn(usize) -> Option<f32>),
         opaque: f32,
     ) {
         let count = self.rows.len();
@@ -233,6 +241,9 @@ impl Scratch {
             let pixels = scanline.pixels[u..][..length].iter_mut().zip(&samples).zip(lengths);
             for (at, ((pixel, sample), length)) in pixels.enumerate() {
                 let mut sample = *sample * opacity_ratio(sample.w, *length);
+                if !whole.contains(&(u + at)) {
+                    sample = cut(sample, left(u + at));
+                }
                 if let Some(cue) = cue {
                     sample = (sample * cue.at(u + at)).with_w(sample.w);
                 }

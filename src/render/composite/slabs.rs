@@ -10,6 +10,8 @@
 //! 3. *Look up and blend*: the slab by its two scalars, lit by the mean light of both samples,
 //!    its length and density corrected, "over".
 //!
+//! A slab that a clip plane cuts is that part of it: between two samples in its place, and as much shorter.
+//!
 //! n slices have n - 1 slabs between them, or several times as many where slices are interpolated
 //! between slices. A slab that a side of the volume's box cuts counts where its middle is inside: half
 //! a slab too many is as likely as half too few. Its sample outside is that of the box's border.
@@ -31,7 +33,7 @@ use super::{CANCEL_STEP, Composite, clear_bits, over};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
-use crate::render::slab::Correction;
+use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{BufferSlice, Cancel, RenderError};
 
 /// What the bands of a frame share.
@@ -83,8 +85,8 @@ pub(super) struct Slab<'a, P> {
     layer: usize,
     pub(super) front: Position<P>,
     pub(super) back: Position<P>,
-    /// Its middle along k.
-    pub(super) middle: f64,
+    /// Its front and its back along k.
+    pub(super) ends: [f64; 2],
     /// Its thickness: 1, but for the first one from an eye among the slices.
     pub(super) share: f32,
     /// Pixels along u and scanlines over which the middle is inside the volume.
@@ -141,6 +143,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         let f = self.factorization;
         let [from, to] = [number, number + 1].map(|n| (n as f64 / self.steps as f64).max(f.start));
         let middle = f.along((from + to) / 2.0);
+        let ends = [from, to].map(|at| f.along(at));
         let [pixels, scanlines] = L::inside(f, &L::placement(f, middle));
         let layer = number / self.steps;
         Slab {
@@ -148,7 +151,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             layer: if f.reversed { f.front - 1 - layer } else { f.front + layer },
             front: Position::new::<L>(f, from),
             back: Position::new::<L>(f, to),
-            middle,
+            ends,
             share: ((to - from) * self.steps as f64) as f32,
             pixels,
             scanlines,
@@ -207,7 +210,8 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         }
         let any = pixels.keep_within(scanline.non_opaque, inside);
         if any && self.factorization.is_clipped() {
-            return pixels.keep(scanline.non_opaque, &self.factorization.visible_pixels(v, slab.middle));
+            let [some, _] = self.factorization.clipped_pixels(v, slab.ends);
+            return pixels.keep(scanline.non_opaque, &some);
         }
         any
     }
@@ -225,6 +229,10 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     ) {
         let lit = self.voxels.is_lit();
         let cue = slab.cue.map(|cue| cue.scanline(v));
+        let whole = match self.factorization.is_clipped() {
+            true => Some(self.factorization.clipped_pixels(v, slab.ends)[1].clone()),
+            false => None,
+        };
         for (u, length) in Runs::new(pixels) {
             let run = Run {
                 u,
@@ -236,6 +244,9 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
                 share: slab.share,
             };
             let opaque = match (lit, cue.is_some()) {
+                _ if whole.as_ref().is_some_and(|whole| u < whole.start || u + length > whole.end) => {
+                    self.blend_cut(run, v, slab, whole.as_ref())
+                }
                 (false, false) => self.blend_run::<false, false>(run),
                 (false, true) => self.blend_run::<false, true>(run),
                 (true, false) => self.blend_run::<true, false>(run),
@@ -262,6 +273,43 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             opaque |= u64::from(pixel.w >= self.opaque) << at;
         }
         opaque
+    }
+
+    /// Blends consecutive pixels, some of which clip planes cut.
+    #[inline(never)]
+    fn blend_cut(&self, run: Run<'_>, v: usize, slab: &Slab<'_, L::Placement>, whole: Option<&Range<usize>>) -> u64 {
+        let mut opaque = 0;
+        let samples = run.front.iter().zip(run.back);
+        for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
+            let u = run.u + at;
+            let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
+            let cut = if whole.is_some_and(|whole| whole.contains(&u)) {
+                None
+            } else {
+                Some(self.factorization.cut(u, v, slab.ends))
+            };
+            let mut sample = self.cut_sample(*front, *back, length, cut);
+            if let Some(cue) = run.cue {
+                sample = (sample * cue.at(u)).with_w(sample.w);
+            }
+            *pixel = over(*pixel, sample);
+            opaque |= u64::from(pixel.w >= self.opaque) << at;
+        }
+        opaque
+    }
+
+    /// The sample of a slab of which `cut` is left (`None`: all).
+    pub(super) fn cut_sample(&self, front: Vec4, back: Vec4, length: f32, cut: Option<[f32; 2]>) -> Vec4 {
+        let sample = |front, back| match self.voxels.is_lit() {
+            true => self.sample::<true>(front, back, length),
+            false => self.sample::<false>(front, back, length),
+        };
+        let Some([enter, leave]) = cut else { return sample(front, back) };
+        if enter >= leave {
+            return Vec4::ZERO;
+        }
+        let slab = sample(front.lerp(back, enter), front.lerp(back, leave));
+        slab * opacity_ratio(slab.w, leave - enter)
     }
 
     /// Premultiplied colour and opacity between two samples, of a slab of so many times the view's length.

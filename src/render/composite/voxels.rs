@@ -10,6 +10,8 @@
 //! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
 //!    opaque pixel's bit is cleared.
 
+use std::ops::Range;
+
 use glam::Vec4;
 
 use super::cue::{Cue, ScanlineCue};
@@ -21,6 +23,7 @@ use super::{CANCEL_STEP, Composite, WORD, clear_bits, first_run, over, run_mask}
 use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::material::{Light, Material};
+use crate::render::slab::opacity_ratio;
 use crate::render::{Cancel, RenderError};
 
 /// Where scanlines are is asked for so many slices before they are read.
@@ -156,7 +159,8 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             }
             rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
             let cue = cue.map(|cue| cue.scanline(v));
-            self.blend(&mut scanline, placement.first[0], rows, spans, &weights, cue);
+            let at = Place { v, k, first_u: placement.first[0], cue };
+            self.blend(&mut scanline, &at, rows, spans, &weights);
         }
     }
 
@@ -172,7 +176,8 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
     ) {
         spans.find(rows, scanline, placement.first[0], placement.fraction[0] > 0.0);
         if self.factorization.is_clipped() {
-            spans.clip(self.factorization.visible_pixels(v, k as f64), placement.first[0]);
+            let [some, _] = self.factorization.clipped_pixels(v, self.factorization.interval(k));
+            spans.clip(some, placement.first[0]);
         }
     }
 
@@ -181,12 +186,17 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
-        first_u: usize,
+        &Place { v, k, first_u, cue }: &Place<'_>,
         rows: &RowBuffers,
         spans: &Spans,
         weights: &Weights,
-        cue: Option<ScanlineCue<'_>>,
     ) {
+        let clipped = self.factorization.is_clipped();
+        let whole = if clipped {
+            self.factorization.clipped_pixels(v, self.factorization.interval(k))[1].clone()
+        } else {
+            0..usize::MAX
+        };
         for (word, &bits) in spans.pixels().iter().enumerate() {
             let mut bits = bits;
             while bits != 0 {
@@ -197,6 +207,10 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 let (upper, lower) = rows.voxels(i, length + 1);
                 let pixels = &mut scanline.pixels[u..u + length];
                 let opaque = match (rows.has_lower(), cue) {
+                    _ if u < whole.start || u + length > whole.end => {
+                        let left = |u| self.left(u, v, k, &whole);
+                        blend_cut(pixels, [upper, lower], rows.has_lower(), weights, (cue, u), left, self.opaque)
+                    }
                     (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
                     (false, None) => blend_run::<false, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
                     (true, Some(_)) => blend_run::<true, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
@@ -207,6 +221,37 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 }
             }
         }
+    }
+}
+
+impl<L, V, H, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
+    /// The share of slice `k` that clip planes leave of pixel (u, v); `whole` are those of which they leave all.
+    #[inline(never)]
+    pub(super) fn left(&self, u: usize, v: usize, k: usize, whole: &Range<usize>) -> Option<f32> {
+        if whole.contains(&u) {
+            return None;
+        }
+        let [enter, leave] = self.factorization.cut(u, v, self.factorization.interval(k));
+        Some((leave - enter).max(0.0))
+    }
+}
+
+/// A scanline of pixels on a slice.
+struct Place<'a> {
+    v: usize,
+    k: usize,
+    /// The first pixel that lies on the slice.
+    first_u: usize,
+    cue: Option<ScanlineCue<'a>>,
+}
+
+/// A sample of which a share is left.
+#[inline(always)]
+pub(super) fn cut(sample: Vec4, left: Option<f32>) -> Vec4 {
+    match left {
+        None => sample,
+        Some(left) if left > 0.0 => sample * opacity_ratio(sample.w, left),
+        Some(_) => Vec4::ZERO,
     }
 }
 
@@ -247,6 +292,33 @@ fn blend_run<const LOWER: bool, const CUED: bool>(
     for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
         let mut sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
         if CUED && let Some(cue) = cue {
+            sample = (sample * cue.at(u + at)).with_w(sample.w);
+        }
+        *pixel = over(*pixel, sample);
+        done |= u64::from(pixel.w >= opaque) << at;
+    }
+    done
+}
+
+/// The same where clip planes leave a share of some pixels.
+#[inline(never)]
+fn blend_cut(
+    pixels: &mut [Vec4],
+    [upper, lower]: [&[Vec4]; 2],
+    has_lower: bool,
+    weights: &Weights,
+    (cue, u): (Option<ScanlineCue<'_>>, usize),
+    left: impl Fn(usize) -> Option<f32>,
+    opaque: f32,
+) -> u64 {
+    let mut done = 0;
+    let voxels = upper.windows(2).zip(lower.windows(2));
+    for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
+        let (upper, lower) = ([upper[0], upper[1]], [lower[0], lower[1]]);
+        let whole =
+            if has_lower { weights.sample::<true>(upper, lower) } else { weights.sample::<false>(upper, lower) };
+        let mut sample = cut(whole, left(u + at));
+        if let Some(cue) = cue {
             sample = (sample * cue.at(u + at)).with_w(sample.w);
         }
         *pixel = over(*pixel, sample);

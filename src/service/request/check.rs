@@ -7,15 +7,15 @@ use std::ops::{Bound, RangeBounds, RangeInclusive};
 use glam::{DMat4, DVec3};
 
 use super::fields::{
-    Blend, CameraFields, DepthCueingFields, Either, Fields, ImageFields, LightName, LookAtFields, MatricesFields,
-    PreintegrationFields, ShadingFields, WindowFields,
+    Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, ImageFields, Keep, LightName,
+    LookAtFields, MatricesFields, PlaneFields, PreintegrationFields, ShadingFields, WindowFields,
 };
 use super::{AlgorithmChoice, InvalidField, RenderRequest, ShadingChoice, Spelling, Transfer};
 use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
 use crate::render::{
-    Background, Camera, DepthCueing, IntensityProjection, Light, LookAt, Orbit, Preintegration, Projection, Quality,
-    Shading, SlabTable,
+    Background, Camera, DepthCueing, HalfSpace, IntensityProjection, Light, LookAt, Orbit, Preintegration, Projection,
+    Quality, Shading, SlabTable,
 };
 
 /// Degrees: beyond, a float's steps show as jumps of the camera.
@@ -45,6 +45,8 @@ const CUE_DENSITY: RangeInclusive<f64> = 0.0..=100.0;
 const ENTRIES: RangeInclusive<f64> = 2.0..=1024.0;
 /// Beyond, slabs are shorter than what 8-bit pixels tell apart.
 const SAMPLES_PER_VOXEL: RangeInclusive<f64> = 1.0..=8.0;
+/// Regions that cut something away; a box is six half-spaces.
+const MAX_CLIP: usize = 16;
 const DEFAULT_SIDE: u32 = 512;
 
 pub const NO_AZIMUTH: &str = "expected an orbit camera: frames around the vertical axis start from its azimuth";
@@ -66,6 +68,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     let (projection, window) = refusals.blend(fields.blend, fields.window);
     let preintegration = refusals.preintegration(fields.quality, fields.preintegration.as_ref());
     let depth_cueing = fields.depth_cueing.as_ref().map(|cueing| refusals.depth_cueing(cueing));
+    let clip = refusals.clip(fields.clip.unwrap_or_default());
     let request = RenderRequest {
         camera,
         width,
@@ -83,6 +86,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
         window,
         preintegration,
         depth_cueing,
+        clip,
         spelling: Spelling::Json,
     };
     if refusals.0.is_empty() { Ok(request) } else { Err(refusals.0) }
@@ -326,6 +330,52 @@ impl Refusals {
         self.range("/depth_cueing/front", fields.front, CUE_FRONT);
         self.range("/depth_cueing/density", fields.density, CUE_DENSITY);
         DepthCueing { front: fields.front.unwrap_or(1.0), density: fields.density.unwrap_or(1.0) }
+    }
+
+    /// The half-spaces that are left.
+    fn clip(&mut self, regions: Vec<ClipFields>) -> Vec<HalfSpace> {
+        if regions.len() > MAX_CLIP {
+            self.refuse("/clip", format!("expected at most {MAX_CLIP} regions, got {}", regions.len()));
+        }
+        let mut halves = vec![];
+        for (index, region) in regions.into_iter().enumerate() {
+            let pointer = format!("/clip/{index}");
+            let keep = region.keep.unwrap_or_default();
+            match (region.plane, region.r#box) {
+                (Some(plane), None) => halves.push(self.plane(&pointer, &plane, keep)),
+                (None, Some(_)) if keep == Keep::Outside => {
+                    self.refuse(format!("{pointer}/keep"), "the outside of a box is not supported by this version");
+                }
+                (None, Some(region)) => halves.extend(self.sides(&pointer, &region)),
+                (None, None) => self.refuse(pointer, "expected a plane or a box"),
+                (Some(_), Some(_)) => self.refuse(format!("{pointer}/box"), "expected a plane or a box, got both"),
+            }
+        }
+        halves
+    }
+
+    fn plane(&mut self, pointer: &str, plane: &PlaneFields, keep: Keep) -> HalfSpace {
+        let point = self.vector(&format!("{pointer}/plane/point"), plane.point);
+        let normal = self.vector(&format!("{pointer}/plane/normal"), plane.normal).try_normalize();
+        if normal.is_none() {
+            self.refuse(format!("{pointer}/plane/normal"), "expected a direction of length above 0");
+        }
+        let inwards = normal.unwrap_or(DVec3::Z) * if keep == Keep::Inside { 1.0 } else { -1.0 };
+        HalfSpace { normal: inwards, offset: -inwards.dot(point) }
+    }
+
+    fn sides(&mut self, pointer: &str, region: &BoxFields) -> Vec<HalfSpace> {
+        let min = self.vector(&format!("{pointer}/box/min"), region.min);
+        let max = self.vector(&format!("{pointer}/box/max"), region.max);
+        for axis in (0..3).filter(|&axis| min[axis] >= max[axis]) {
+            let detail = format!("expected more than min's {}, got {}", min[axis], max[axis]);
+            self.refuse(format!("{pointer}/box/max/{axis}"), detail);
+        }
+        let side = |axis: usize| {
+            let normal = DVec3::AXES[axis];
+            [HalfSpace { normal, offset: -min[axis] }, HalfSpace { normal: -normal, offset: max[axis] }]
+        };
+        (0..3).flat_map(side).collect()
     }
 
     fn preintegration(&mut self, quality: Quality, fields: Option<&PreintegrationFields>) -> Preintegration {

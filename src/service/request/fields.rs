@@ -25,6 +25,7 @@ pub struct Fields {
     pub min_opacity: Option<f64>,
     pub sample_distance: Option<f64>,
     pub depth_cueing: Option<DepthCueingFields>,
+    pub clip: Option<Vec<ClipFields>>,
     pub preintegration: Option<PreintegrationFields>,
 }
 
@@ -128,6 +129,38 @@ pub struct WindowFields {
 pub struct DepthCueingFields {
     pub front: Option<f64>,
     pub density: Option<f64>,
+}
+
+/// A convex region, told in one of several ways.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClipFields {
+    pub plane: Option<PlaneFields>,
+    pub r#box: Option<BoxFields>,
+    pub keep: Option<Keep>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlaneFields {
+    pub point: [f64; 3],
+    /// Towards the inside.
+    pub normal: [f64; 3],
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoxFields {
+    pub min: [f64; 3],
+    pub max: [f64; 3],
+}
+
+#[derive(Clone, Copy, Default, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Keep {
+    #[default]
+    Inside,
+    Outside,
 }
 
 #[derive(Default, serde::Deserialize)]

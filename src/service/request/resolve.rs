@@ -55,6 +55,7 @@ impl RenderRequest {
     /// For a degenerate camera, which an orbit never is.
     pub fn view(&self, volume: &Volume) -> Result<View, RequestError> {
         View::new(&self.camera, volume.centre(), volume.radius(), self.width, self.height)
+            .map(|view| view.clipped(&self.clip))
             .map_err(|e| RequestError::refused(&format!("/camera{}", e.pointer()), e.to_string()))
     }
 
@@ -286,6 +287,7 @@ mod tests {
             r#"{"early_ray_termination": 0.99, "min_opacity": 2e-3, "sample_distance": 3, "algorithm": "auto"}"#,
             r#"{"shading": {"lights": ["headlight"]}, "algorithm": "preintegrated", "blend": "composite"}"#,
             r#"{"preintegration": {"entries": 256, "lookup": "bilinear", "buffer": "image"}}"#,
+            r#"{"clip": []}"#,
         ];
         for json in equal {
             assert_eq!(canonical(json), canonical("{}"), "{json}");
@@ -340,6 +342,9 @@ mod tests {
             r#"{"blend": "maximum", "window": {"center": 0, "width": 1}}"#,
             r#"{"depth_cueing": {}}"#,
             r#"{"depth_cueing": {"density": 2}}"#,
+            r#"{"clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 0, 1]}}]}"#,
+            r#"{"clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 0, 1]}, "keep": "outside"}]}"#,
+            r#"{"clip": [{"box": {"min": [-1, -1, -1], "max": [1, 1, 1]}}]}"#,
             r#"{"preintegration": {"entries": 100}}"#,
             r#"{"preintegration": {"lookup": "nearest"}}"#,
             r#"{"preintegration": {"table": "1d"}}"#,

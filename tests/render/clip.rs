@@ -1,0 +1,163 @@
+//! Clip planes: what is cut away is gone, what is left is as it was, and faces lie where they should.
+
+use glam::{DMat3, DVec3};
+use proptest::prelude::*;
+use shearwarp::render::{Algorithm, Camera, HalfSpace, Image, Orbit, Projection, Quality, Settings, Shading};
+use shearwarp::volume::phantom;
+
+use crate::scenes::{Prepared, medium, plain, same_bits, transfer};
+
+const SIZE: [u32; 2] = [100, 90];
+
+/// Thirty planes through or near the middle of a volume, every way round.
+fn planes(scene: &Prepared) -> impl Iterator<Item = HalfSpace> {
+    let (centre, radius) = (scene.prepared.volume().centre(), scene.prepared.volume().radius());
+    (0..30).map(move |n| {
+        let turn = DMat3::from_rotation_z(f64::from(n) * 2.4) * DMat3::from_rotation_x(f64::from(n) * 1.7);
+        let normal = turn * DVec3::new(0.3, 0.2, 1.0).normalize();
+        let point = centre + normal * radius * 0.3 * (f64::from(n) * 0.9).sin();
+        HalfSpace { normal, offset: -normal.dot(point) }
+    })
+}
+
+fn orbit(projection: Projection, n: u32) -> Camera {
+    let (azimuth, elevation) = (f64::from(n) * 77.0, (f64::from(n) * 1.3).sin() * 80.0);
+    Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() })
+}
+
+/// A frame and the ray caster's, which is exact.
+fn frame_and_truth(scene: &Prepared, camera: &Camera, planes: &[HalfSpace], settings: &Settings) -> [Image; 2] {
+    let view = scene.view(camera, SIZE[0], SIZE[1]).clipped(planes);
+    let exact = Settings { algorithm: Algorithm::Raycast, sample_distance: 0.1, ..settings.clone() };
+    [settings, &exact].map(|settings| scene.frame(&view, settings))
+}
+
+fn alphas(image: &Image) -> impl Iterator<Item = i32> {
+    image.pixels.chunks_exact(4).map(|pixel| i32::from(pixel[3]))
+}
+
+fn high() -> Settings {
+    Settings {
+        quality: Quality::High,
+        preintegration: shearwarp::render::Preintegration::of(Quality::High),
+        ..plain(Algorithm::Preintegrated)
+    }
+}
+
+/// How many in a thousand pixels differ by more than `steps`.
+fn beyond([a, b]: &[Image; 2], steps: i32) -> f64 {
+    let beyond = alphas(a).zip(alphas(b)).filter(|(a, b)| (a - b).abs() > steps).count();
+    1000.0 * beyond as f64 / f64::from(SIZE[0] * SIZE[1])
+}
+
+/// A cube of a uniform medium: its opacity has a closed form, which the ray caster meets.
+fn cube() -> Prepared {
+    Prepared::new(phantom::from_fn([40, 36, 44], [1.0, 1.1, 0.9], |_, _, _| 100.0), medium(0.04, 1.0), 0.0)
+}
+
+#[test]
+fn a_cut_medium_is_as_deep_as_what_is_left_of_it() {
+    let scene = cube();
+    for projection in [Projection::Parallel, Projection::Perspective] {
+        let mut worst = [0.0; 3];
+        for (n, plane) in (0..).zip(planes(&scene)) {
+            let camera = orbit(projection, n);
+            for (at, settings) in
+                [high(), plain(Algorithm::Preintegrated), plain(Algorithm::Classified)].into_iter().enumerate()
+            {
+                let frames = frame_and_truth(&scene, &camera, &[plane], &settings);
+                let shown = alphas(&frames[1]).filter(|&alpha| alpha > 0).count();
+                assert!(shown > 200, "{n}: the plane leaves {shown} pixels");
+                worst[at] = f64::max(worst[at], beyond(&frames, if at == 0 { 1 } else { 4 }));
+            }
+        }
+        println!("{projection:?}: {worst:?} in a thousand");
+        assert!(worst[0] <= 1.0, "{projection:?} high: {worst:?} in a thousand differ by more than 1");
+        assert!(worst[1] <= 10.0, "{projection:?} standard: {worst:?} in a thousand differ by more than 4");
+        assert!(worst[2] <= 10.0, "{projection:?} classified: {worst:?} in a thousand differ by more than 4");
+    }
+}
+
+/// An opaque cube, cut: no pixel's cover is off by more than half, but where the cube's own sides, which slices draw to the
+/// nearest, are seen.
+#[test]
+fn cut_silhouettes_lie_within_half_a_pixel() {
+    let scene =
+        Prepared::new(phantom::from_fn([40, 36, 44], [1.0, 1.1, 0.9], |_, _, _| 100.0), medium(0.999, 1.0), 0.0);
+    for algorithm in [Algorithm::Preintegrated, Algorithm::Classified] {
+        for projection in [Projection::Parallel, Projection::Perspective] {
+            for (n, plane) in (0..).zip(planes(&scene)) {
+                let camera = orbit(projection, n);
+                let off =
+                    |planes: &[HalfSpace]| beyond(&frame_and_truth(&scene, &camera, planes, &plain(algorithm)), 128);
+                let (cut, whole) = (off(&[plane]), off(&[]));
+                assert!(cut <= whole + 3.0, "{algorithm:?} {projection:?} {n}: {cut} in a thousand against {whole}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_part_and_what_was_cut_from_it_are_the_whole() {
+    let scene = cube();
+    for (n, plane) in (0..).zip(planes(&scene)) {
+        let other = HalfSpace { normal: -plane.normal, offset: -plane.offset };
+        for settings in [high(), plain(Algorithm::Preintegrated), plain(Algorithm::Classified)] {
+            let view = scene.view(&orbit(Projection::Parallel, n), SIZE[0], SIZE[1]);
+            let clear = |planes: &[HalfSpace]| -> Vec<f64> {
+                let image = scene.frame(&view.clone().clipped(planes), &settings);
+                alphas(&image).map(|alpha| 1.0 - f64::from(alpha) / 255.0).collect()
+            };
+            let (one, two, whole) = (clear(&[plane]), clear(&[other]), clear(&[]));
+            let off =
+                one.iter().zip(&two).zip(&whole).filter(|((a, b), whole)| (*a * *b - *whole).abs() > 0.02).count();
+            assert!(off < 20, "{n} {:?} {:?}: {off} pixels", settings.algorithm, settings.quality);
+        }
+    }
+}
+
+#[test]
+fn a_plane_that_misses_the_volume_changes_no_bit() {
+    let scene =
+        Prepared::new(phantom::noise([30, 28, 26], 5), transfer(&[(0.0, 0.0), (1500.0, 0.0), (2500.0, 0.7)]), 0.002);
+    let far = HalfSpace { normal: DVec3::X, offset: 1e6 };
+    for projection in [Projection::Parallel, Projection::Perspective] {
+        for settings in
+            [high(), plain(Algorithm::Preintegrated), plain(Algorithm::Classified), plain(Algorithm::Raycast)]
+        {
+            let view = scene.view(&orbit(projection, 3), 60, 50);
+            assert!(scene.frame(&view, &settings) == scene.frame(&view.clone().clipped(&[far]), &settings));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    #[test]
+    fn cutting_leaves_the_twins_the_same(
+        n in 0u32..1000,
+        normal in prop::array::uniform3(-1.0f64..1.0),
+        part in -0.5f64..0.5,
+        thickness in 0.05f64..0.8,
+        perspective: bool,
+        lit: bool,
+        slabs: bool,
+    ) {
+        let normal = DVec3::from_array(normal).try_normalize().unwrap_or(DVec3::Z);
+        let scene =
+            Prepared::new(phantom::noise([26, 22, 24], n), transfer(&[(0.0, 0.0), (1400.0, 0.0), (2300.0, 0.4)]), 0.002);
+        let (centre, radius) = (scene.prepared.volume().centre(), scene.prepared.volume().radius());
+        // A slice of the volume between two planes.
+        let at = |part: f64| normal.dot(centre + normal * radius * part);
+        let planes = [
+            HalfSpace { normal, offset: -at(part) },
+            HalfSpace { normal: -normal, offset: at(part + thickness) },
+        ];
+        let projection = if perspective { Projection::Perspective } else { Projection::Parallel };
+        let view = scene.view(&orbit(projection, n), 40, 36).clipped(&planes);
+        let algorithm = if slabs { Algorithm::Preintegrated } else { Algorithm::Classified };
+        let settings = Settings { shading: lit.then(Shading::default), early_ray_termination: 0.98, ..plain(algorithm) };
+        same_bits(&scene, &view, &settings);
+    }
+}
