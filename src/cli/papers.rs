@@ -131,7 +131,8 @@ fn lacroute(scans: &[Scan], plots: &Path) -> Result<String, Failure> {
             let share = |of: fn(&Timings) -> Duration| {
                 timings.iter().map(|t| ms(of(t))).sum::<f64>() / timings.iter().map(|t| ms(t.render)).sum::<f64>()
             };
-            let shares = [share(|t| t.shade), share(|t| t.composite), share(|t| t.warp)].map(|s| 100.0 * s);
+            let tables = share(|t| t.shade + t.preintegration_table);
+            let shares = [tables, share(|t| t.composite), share(|t| t.warp)].map(|s| 100.0 * s);
             writeln!(
                 breakdown,
                 "| {} | {name} | {:.0} % | {:.0} % | {:.0} % |",
