@@ -116,7 +116,8 @@ impl<'a> Rays<'a> {
         image.par_chunks_mut(width as usize).enumerate().try_for_each(|(row, pixels)| {
             for (column, out) in pixels.iter_mut().enumerate() {
                 let ray = self.view.ray(DVec2::new(column as f64 + 0.5, row as f64 + 0.5));
-                *out = self.stretch(&ray, cancel).map_or(Vec4::ZERO, |stretch| pixel(&ray, &stretch));
+                let far = self.view.depth().map_or(f64::INFINITY, |depth| depth.at(column, row).into());
+                *out = self.stretch(&ray, far, cancel).map_or(Vec4::ZERO, |stretch| pixel(&ray, &stretch));
                 if cancel.is_cancelled() {
                     return Err(RenderError::Cancelled);
                 }
@@ -126,15 +127,15 @@ impl<'a> Rays<'a> {
         Ok(image)
     }
 
-    /// Where the ray is inside the volume and the view's clip planes.
-    fn stretch<'c>(&self, ray: &Ray, cancel: &'c Cancel) -> Option<Stretch<'c>> {
+    /// Where the ray is inside the volume and the view's clip planes, up to `far` mm from its origin.
+    fn stretch<'c>(&self, ray: &Ray, far: f64, cancel: &'c Cancel) -> Option<Stretch<'c>> {
         let start = self.index_from_world.transform_point3(ray.origin);
         let direction = self.index_from_world.transform_vector3(ray.direction);
         let mut enter = match self.view.projection() {
             Projection::Parallel => f64::NEG_INFINITY,
             Projection::Perspective => 0.0,
         };
-        let mut leave = f64::INFINITY;
+        let mut leave = far;
         let mut cut = |distance: f64, rate: f64| {
             // distance + t * rate >= 0
             if rate > 0.0 {

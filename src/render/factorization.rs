@@ -28,6 +28,7 @@ use std::ops::Range;
 use glam::{DAffine2, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
+use super::depth::Ends;
 use super::view::{HalfSpace, Rays, View};
 use crate::volume::Volume;
 
@@ -77,6 +78,8 @@ pub struct Factorization {
     pub extent: [DVec2; 2],
     /// The view's clip planes, in voxel coordinates.
     clip: Vec<HalfSpace>,
+    /// Where opaque geometry ends the rays of pixels.
+    ends: Option<Ends>,
 }
 
 /// What makes the rays parallel to `k`.
@@ -165,6 +168,7 @@ impl Factorization {
             sheared_from_image: DAffine2::from_cols(vector(dx), vector(dy), start + translation).into(),
             extent: [DVec2::ZERO, first.max(last) + face],
             clip: clip(principal_axis, view, &world_from_index),
+            ends: None,
         }
     }
 
@@ -247,9 +251,15 @@ impl Factorization {
         if self.reversed { [high, low] } else { [low, high] }
     }
 
-    /// True where the view has clip planes.
+    /// With the ends of rays, where the view has opaque geometry: the inverse warp of its depth buffer.
+    pub fn ending(mut self, view: &View, volume: &Volume) -> Self {
+        self.ends = view.depth().map(|depth| Ends::new(depth, view, volume, &self));
+        self
+    }
+
+    /// True where the view has clip planes, or geometry that ends rays.
     pub fn is_clipped(&self) -> bool {
-        !self.clip.is_empty()
+        !self.clip.is_empty() || self.ends.is_some()
     }
 
     /// Voxel coordinates i, j, k of pixel (u, v) of a slice, which may be between two slices of voxels.
@@ -287,8 +297,8 @@ impl Factorization {
         if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
     }
 
-    /// Pixels u of scanline `v` of which the clip planes may leave something between two slices, and those of which they
-    /// leave all: half-spaces are convex.
+    /// Pixels u of scanline `v` of which clip planes and geometry may leave something between two slices (in the order of the walk), and
+    /// those of which they leave all: half-spaces are convex.
     pub fn clipped_pixels(&self, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
         let [a, b] = slices.map(|k| self.visible_pixels(v, k));
         let whole = a.start.max(b.start)..a.end.min(b.end);
@@ -297,10 +307,13 @@ impl Factorization {
             (true, _) => b,
             (_, true) => a,
         };
-        [some, whole]
+        let Some(ends) = &self.ends else { return [some, whole] };
+        let reaches = |end: f64, k: f64| if self.reversed { end <= k } else { end >= k };
+        let [first, last] = ends.of_row(v);
+        [if reaches(last, slices[0]) { some } else { 0..0 }, if reaches(first, slices[1]) { whole } else { 0..0 }]
     }
 
-    /// Where the ray of pixel (u, v) enters and leaves what the clip planes leave between two slices, as fractions
+    /// Where the ray of pixel (u, v) enters and leaves what clip planes and geometry leave between two slices, as fractions
     /// of the way from the first to the second; the first not below the second where that is nothing.
     pub fn cut(&self, u: usize, v: usize, slices: [f64; 2]) -> [f32; 2] {
         let [from, to] = slices.map(|k| self.voxel_from_sheared(u as f64, v as f64, k));
@@ -313,6 +326,9 @@ impl Factorization {
                 (false, true) => leave = f64::min(leave, a / (a - b)),
                 (false, false) => {}
             }
+        }
+        if let Some(ends) = &self.ends {
+            leave = f64::min(leave, (ends.at(u, v) - slices[0]) / (slices[1] - slices[0]));
         }
         [enter as f32, leave as f32]
     }

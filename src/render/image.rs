@@ -14,6 +14,25 @@ pub struct Image {
     pub pixels: Vec<u8>,
 }
 
+impl Image {
+    /// This picture, which has straight alpha, over an opaque one of the same size.
+    ///
+    /// # Panics
+    /// Where they are not such pictures.
+    pub fn over(&self, behind: &Self) -> Self {
+        assert_eq!((self.width, self.height, self.channels), (behind.width, behind.height, 4));
+        assert_eq!(behind.channels, 3);
+        let mut over = behind.clone();
+        for (out, pixel) in over.pixels.chunks_exact_mut(3).zip(self.pixels.chunks_exact(4)) {
+            let alpha = u32::from(pixel[3]);
+            for (out, color) in out.iter_mut().zip(pixel) {
+                *out = ((u32::from(*color) * alpha + u32::from(*out) * (255 - alpha) + 127) / 255) as u8;
+            }
+        }
+        over
+    }
+}
+
 impl Background {
     /// Bytes of a pixel over this background.
     pub const fn channels(&self) -> usize {

@@ -1,6 +1,7 @@
 //! Classified volume + [`View`] -> [`Image`]: one frame, pure, without async.
 
 pub mod composite;
+pub mod depth;
 pub mod factorization;
 mod image;
 pub mod intermediate;

@@ -25,7 +25,8 @@ pub(super) fn frame(
     let start = Instant::now();
 
     // Factor the view into shear and warp; a wide perspective view part by part.
-    let parts = Factorization::parts(view, scene.prepared.volume())?;
+    let volume = scene.prepared.volume();
+    let parts: Vec<_> = Factorization::parts(view, volume)?.into_iter().map(|part| part.ending(view, volume)).collect();
 
     // Shear, resample and composite the slices into an intermediate image for each part.
     let (mut shade, mut tables) = (start.elapsed(), Duration::ZERO);

@@ -4,7 +4,11 @@
 //! coordinates: parallel rays share a direction and start on a plane, perspective rays share an eye
 //! and pass through a plane. The factorization and the ray caster both start from here.
 
+use std::sync::Arc;
+
 use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
+
+use super::depth::SceneDepth;
 
 /// How a client tells where it looks from.
 #[derive(Clone, Debug, PartialEq)]
@@ -120,6 +124,8 @@ pub struct View {
     forward: DVec3,
     /// Near and far planes of a camera told by matrices, and what else is cut away.
     clip: Vec<HalfSpace>,
+    /// Opaque geometry.
+    depth: Option<Arc<SceneDepth>>,
 }
 
 /// Rays, linear in the pixel coordinates; world mm.
@@ -208,7 +214,7 @@ impl View {
             Projection::Parallel => Rays::Parallel { corner: eye + corner, dx, dy, direction: forward },
             Projection::Perspective => Rays::Perspective { eye, corner: forward + corner, dx, dy },
         };
-        Self { width, height, rays, forward, clip: vec![] }
+        Self { width, height, rays, forward, clip: vec![], depth: None }
     }
 
     fn from_matrices(view: &DMat4, projection: &DMat4, width: u32, height: u32) -> Result<Self, ViewError> {
@@ -261,7 +267,7 @@ impl View {
         let clip_from_world = *projection * *view;
         let (z, w) = (clip_from_world.row(2), clip_from_world.row(3));
         let clip = [w + z, w - z].map(|p| HalfSpace { normal: p.truncate(), offset: p.w }).to_vec();
-        Ok(Self { width, height, rays, forward, clip })
+        Ok(Self { width, height, rays, forward, clip, depth: None })
     }
 
     /// Pixels across and down.
@@ -291,6 +297,17 @@ impl View {
     pub fn clipped(mut self, halves: &[HalfSpace]) -> Self {
         self.clip.extend_from_slice(halves);
         self
+    }
+
+    /// The same view with rays that end at opaque geometry, which was measured along this view's rays.
+    pub fn ending_at(mut self, depth: Arc<SceneDepth>) -> Self {
+        self.depth = Some(depth);
+        self
+    }
+
+    /// Where rays end at opaque geometry, if there is any.
+    pub fn depth(&self) -> Option<&Arc<SceneDepth>> {
+        self.depth.as_ref()
     }
 
     /// Half-spaces that what is seen must lie in.

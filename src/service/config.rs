@@ -66,6 +66,7 @@ pub struct Http {
     #[serde(rename = "write_timeout_seconds", deserialize_with = "seconds")]
     pub write_timeout: Duration,
     pub max_body_bytes: NonZeroUsize,
+    pub max_scene_bytes: NonZeroUsize,
     #[serde(rename = "shutdown_seconds", deserialize_with = "seconds")]
     pub shutdown: Duration,
 }

@@ -15,10 +15,11 @@ use super::error::Problem;
 use super::observe::Rendered;
 use super::render_pool::Ticket;
 use super::request::{RenderRequest, ResolvedRequest};
+use super::scene::{self, Parts, Scene3d};
 use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
 use crate::encode::{Format, encode};
-use crate::render::{self, Image, Scene, Timings};
+use crate::render::{self, Background, Image, Scene, Timings};
 
 const ALGORITHM: HeaderName = HeaderName::from_static("x-render-algorithm");
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
@@ -46,7 +47,12 @@ pub async fn from_body(
     let Path(id) = id?;
     let volume = app.store.loaded(&id)?;
     let headers = request.headers().clone();
-    let body = read_json(&app, request).await?;
+    let (body, parts) = if scene::is_multipart(&headers) {
+        let (body, parts) = scene::read(&app, request).await?;
+        (body, Some(parts))
+    } else {
+        (read_json(&app, request).await?, None)
+    };
     let request = RenderRequest::from_json(if body.is_empty() { EMPTY_REQUEST } else { &body })?;
     let accepted = |format: &Format| request.clone().with_format(*format).is_ok();
     let offered: Vec<_> = Format::ALL.into_iter().filter(accepted).collect();
@@ -54,7 +60,11 @@ pub async fn from_body(
         Some(format) => format,
         None => negotiate::format(&headers, &offered).ok_or(Problem::NotAcceptable)?,
     };
-    let asked = Asked::new(&app, id, volume, request, format)?;
+    let asked = Asked::new(&app, id, volume, request.clone(), format)?;
+    let asked = match parts {
+        None => asked,
+        Some(parts) => asked.within(&app, parts, &request).await?,
+    };
     asked.rendered(&app).await
 }
 
@@ -111,6 +121,8 @@ pub(super) struct Asked {
     volume: Arc<LoadedVolume>,
     frame: ResolvedRequest,
     format: Format,
+    /// What stands behind the volume.
+    picture: Option<Arc<Image>>,
     etag: String,
 }
 
@@ -138,7 +150,25 @@ impl Asked {
         let request = request.with_format(format)?;
         let frame = request.resolve(volume.volume(), &volume.presets, &app.config.image.limits())?;
         let etag = etag(&volume, &frame, format);
-        Ok(Self { arrived, id, volume, frame, format, etag })
+        Ok(Self { arrived, id, volume, frame, format, picture: None, etag })
+    }
+
+    /// The same frame merged with a scene: rays end at its geometry, and its picture is behind the volume.
+    async fn within(mut self, app: &App, parts: Parts, request: &RenderRequest) -> Result<Self, Problem> {
+        let matrices = request.matrices();
+        let view = self.frame.view.clone();
+        let made = app.pool.admit()?.run(move |_| parts.scene(&view, matrices)).await?.0?;
+        let Scene3d { depth, picture } = made;
+        let mut made_from = format!("{} {depth:?}", self.etag);
+        self.frame.view = self.frame.view.ending_at(depth);
+        if let Some(picture) = picture {
+            made_from += &format!(" {:032x}", xxh3_128(&picture.pixels));
+            // Its pixels are the background.
+            self.frame.settings.background = Background::Transparent;
+            self.picture = Some(Arc::new(picture));
+        }
+        self.etag = format!("\"{:032x}\"", xxh3_128(made_from.as_bytes()));
+        Ok(self)
     }
 
     /// The algorithm that it is made by.
@@ -189,6 +219,7 @@ impl Asked {
         };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
+        let picture = self.picture.clone();
         let job = move |cancel: &render::Cancel| {
             let scene = Scene {
                 prepared: volume.level(frame.level()),
@@ -197,6 +228,10 @@ impl Asked {
                 encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
             };
             let (image, stages) = render::render(&scene, &frame.view, &frame.settings, cancel)?;
+            let image = match &picture {
+                None => image,
+                Some(picture) => image.over(picture),
+            };
             let start = Instant::now();
             let bytes = encode(&image, format).map_err(|error| {
                 tracing::error!(%error, "a frame could not be encoded");

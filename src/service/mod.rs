@@ -19,6 +19,7 @@ mod presets;
 mod render_pool;
 pub mod request;
 pub mod router;
+mod scene;
 mod server;
 mod store;
 mod stream;

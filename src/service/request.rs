@@ -14,6 +14,7 @@ pub(super) mod json;
 mod options;
 mod resolve;
 
+use glam::DMat4;
 use serde_json::Value;
 
 pub use crate::classify::InvalidField;
@@ -163,6 +164,14 @@ impl RenderRequest {
     /// The format that the request names.
     pub fn format(&self) -> Option<Format> {
         self.format
+    }
+
+    /// View and projection matrix of the camera, where it is told by them.
+    pub(super) fn matrices(&self) -> Option<[DMat4; 2]> {
+        match &self.camera {
+            Camera::Matrices { view, projection } => Some([*view, *projection]),
+            _ => None,
+        }
     }
 
     /// The same request for an answer in `format`.

@@ -6,6 +6,7 @@ mod encodings;
 mod errors;
 mod frames;
 mod overload;
+mod scene;
 mod service;
 mod shutdown;
 mod stream;

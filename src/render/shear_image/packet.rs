@@ -5,9 +5,11 @@
 //! them, `t = 0` being the first of the volume, whichever way it is stored.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::{DMat4, DVec3};
 
+use crate::render::depth::SceneDepth;
 use crate::render::view::{HalfSpace, Rays, View};
 use crate::volume::Volume;
 
@@ -42,6 +44,8 @@ pub struct IndexRays {
     world_from_index: DMat4,
     /// What rays must stay within, besides the box of voxels: `normal . p + offset >= 0`.
     clip: Vec<HalfSpace>,
+    /// Opaque geometry that ends rays.
+    scene: Option<Arc<SceneDepth>>,
     /// Depth 0..1 through the bounding sphere along the camera's axis: `normal . p + offset`.
     depth: HalfSpace,
 }
@@ -98,6 +102,7 @@ impl IndexRays {
             dy: vector(dy),
             world_from_index,
             clip: view.clip().iter().map(in_index).collect(),
+            scene: view.depth().cloned(),
             depth: in_index(&depth),
         }
     }
@@ -152,6 +157,7 @@ impl IndexRays {
     #[inline(always)]
     pub fn packet(&self, x: usize, y: usize, lanes: Range<usize>) -> Option<Packet> {
         let (axis, reversed) = self.part(x + lanes.start, y);
+        let row = y;
         let y = y as f64 + 0.5;
         let in_slice = IN_SLICE[axis];
         let first_slice = if reversed { (self.dims[axis] - 1) as f64 } else { 0.0 };
@@ -172,7 +178,13 @@ impl IndexRays {
             let (origin, direction) = self.ray((x + lane) as f64 + 0.5, y);
             let per_slice = direction / direction[axis].abs();
             let at_first = origin + per_slice * ((first_slice - origin[axis]) * per_slice[axis]);
-            let (enter, leave) = self.span(at_first, per_slice, origin, axis);
+            let step = self.world_from_index.transform_vector3(per_slice);
+            let length = step.length();
+            let (enter, mut leave) = self.span(at_first, per_slice, origin, axis);
+            if let Some(scene) = &self.scene {
+                let from_origin = f64::from(scene.at(x + lane, row)) / length;
+                leave = leave.min((origin[axis] - first_slice) * per_slice[axis] + from_origin);
+            }
             if leave - enter > SHORTEST {
                 any = true;
                 packet.enter[lane] = enter as f32;
@@ -182,8 +194,6 @@ impl IndexRays {
                 packet.start[n][lane] = at_first[in_slice[n]] as f32;
                 packet.slope[n][lane] = per_slice[in_slice[n]] as f32;
             }
-            let step = self.world_from_index.transform_vector3(per_slice);
-            let length = step.length();
             packet.length[lane] = length as f32;
             for axis in 0..3 {
                 packet.to_eye[axis][lane] = (step[axis] / -length) as f32;

@@ -1,0 +1,218 @@
+//! Opaque geometry that ends rays: the scene's depth buffer, and its inverse warp.
+//!
+//! Bruckner, Schmalstieg, Hauser and Gröller 2003 carry every pixel of a depth buffer forward into sheared object space, as a
+//! footprint, the nearest one winning; where footprints are too small there are holes, where too large, steps (their figure 5).
+//! But a pixel of the intermediate image *is* a ray of the view, and that ray meets the final image at one point, which the inverse of
+//! the 2D warp gives. So the depth is read there, backwards: every pixel has one, none has two. Between the depth buffer's pixels
+//! it is interpolated where the surface goes on, and taken from the nearest where it is torn, so that neither slopes
+//! become stairs nor silhouettes become sheets.
+//!
+//! What comes of it is where each ray ends, in slices ([`Ends`]); the kernels then treat it as one more clip plane
+//! ([`Factorization::cut`]). Rays in image order ask the buffer itself.
+
+use std::fmt;
+
+use glam::{DMat4, DVec2, DVec3};
+use rayon::prelude::*;
+use xxhash_rust::xxh3::xxh3_128;
+
+use super::factorization::Factorization;
+use super::view::View;
+use crate::volume::Volume;
+
+/// A step between two pixels that is so many times as large as the larger of the two beside it is a tear.
+const TEAR: f32 = 2.0;
+
+/// Shorter steps, mm, are none: rounding of depth buffers.
+const FLAT: f32 = 1e-3;
+
+/// Where each pixel's ray meets opaque geometry.
+#[derive(Clone, PartialEq)]
+pub struct SceneDepth {
+    width: usize,
+    height: usize,
+    /// mm along the rays from their origins, row by row from the top; infinite where they meet nothing.
+    distances: Vec<f32>,
+    /// Of the distances.
+    hash: u128,
+}
+
+/// Told by size and content: two that say the same are the same.
+impl fmt::Debug for SceneDepth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "SceneDepth({} x {}, {:032x})", self.width, self.height, self.hash)
+    }
+}
+
+impl SceneDepth {
+    /// From mm along the rays of `view`, row by row from the top.
+    ///
+    /// # Panics
+    /// Where there is not one for each pixel.
+    pub fn new(view: &View, distances: Vec<f32>) -> Self {
+        let (width, height) = view.size();
+        let (width, height) = (width as usize, height as usize);
+        assert_eq!(distances.len(), width * height, "a distance for each pixel");
+        let hash = xxh3_128(bytemuck::cast_slice(&distances));
+        Self { width, height, distances, hash }
+    }
+
+    /// From a depth buffer in WebGL's window space (0 on the near plane, 1 on the far one, where nothing is), for the `view` that
+    /// these matrices make.
+    ///
+    /// # Panics
+    /// Where there is not one value for each pixel.
+    pub fn from_window(values: &[f32], view: &View, projection: &DMat4, camera: &DMat4) -> Self {
+        let world_from_clip = (*projection * *camera).inverse();
+        let (width, height) = view.size();
+        let distance = |(at, &value): (usize, &f32)| {
+            if value >= 1.0 {
+                return f32::INFINITY;
+            }
+            let pixel = DVec2::new((at % width as usize) as f64 + 0.5, (at / width as usize) as f64 + 0.5);
+            let clip = DVec3::new(
+                2.0 * pixel.x / f64::from(width) - 1.0,
+                1.0 - 2.0 * pixel.y / f64::from(height),
+                2.0 * f64::from(value) - 1.0,
+            );
+            let ray = view.ray(pixel);
+            (world_from_clip.project_point3(clip) - ray.origin).dot(ray.direction) as f32
+        };
+        Self::new(view, values.par_iter().enumerate().map(distance).collect())
+    }
+
+    /// The distance of a pixel, mm.
+    #[inline(always)]
+    pub fn at(&self, x: usize, y: usize) -> f32 {
+        self.distances[y * self.width + x]
+    }
+
+    /// The distance at pixel coordinates (centres at halves), which may be beyond the picture.
+    fn between(&self, at: DVec2) -> f32 {
+        let last = [self.width as isize - 1, self.height as isize - 1];
+        let get = |x: isize, y: isize| self.at(x.clamp(0, last[0]) as usize, y.clamp(0, last[1]) as usize);
+        let at = at - 0.5;
+        let (x, y) = (at.x.floor(), at.y.floor());
+        let (fx, fy) = ((at.x - x) as f32, (at.y - y) as f32);
+        let (x, y) = (x as isize, y as isize);
+        let goes_on = |[before, a, b, after]: [f32; 4]| {
+            let beside = (a - before).abs().max((after - b).abs());
+            (b - a).abs() <= TEAR * beside + FLAT && a.is_finite() && b.is_finite()
+        };
+        let row = |y: isize| goes_on([-1, 0, 1, 2].map(|n| get(x + n, y)));
+        let column = |x: isize| goes_on([-1, 0, 1, 2].map(|n| get(x, y + n)));
+        if row(y) && row(y + 1) && column(x) && column(x + 1) {
+            let upper = get(x, y) + (get(x + 1, y) - get(x, y)) * fx;
+            let lower = get(x, y + 1) + (get(x + 1, y + 1) - get(x, y + 1)) * fx;
+            upper + (lower - upper) * fy
+        } else {
+            get(x + isize::from(fx >= 0.5), y + isize::from(fy >= 0.5))
+        }
+    }
+}
+
+/// Where the rays of an intermediate image end, along k.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ends {
+    width: usize,
+    ks: Vec<f32>,
+    /// By scanline, the first one that a ray in its order meets and the last.
+    rows: Vec<[f32; 2]>,
+}
+
+impl Ends {
+    /// The inverse warp of the view's depth buffer.
+    pub(super) fn new(depth: &SceneDepth, view: &View, volume: &Volume, factorization: &Factorization) -> Self {
+        let image_from_sheared = factorization.sheared_from_image.inverse();
+        let index_from_world = volume.world_from_index().inverse();
+        let axis = factorization.principal_axis;
+        let never = if factorization.reversed { f32::NEG_INFINITY } else { f32::INFINITY };
+        let [width, height] = factorization.size;
+        let size = DVec2::new(depth.width as f64, depth.height as f64);
+        let k = |u: usize, v: usize| {
+            let homogeneous = image_from_sheared * DVec3::new(u as f64, v as f64, 1.0);
+            if homogeneous.z <= 0.0 {
+                return never;
+            }
+            let at = (homogeneous.truncate() / homogeneous.z).clamp(DVec2::ZERO, size);
+            let distance = depth.between(at);
+            if distance.is_finite() {
+                let ray = view.ray(at);
+                index_from_world.transform_point3(ray.origin + ray.direction * f64::from(distance))[axis] as f32
+            } else {
+                never
+            }
+        };
+        let mut ks = vec![never; width * height];
+        let rows = ks.par_chunks_mut(width).enumerate().map(|(v, row)| {
+            row.iter_mut().enumerate().for_each(|(u, end)| *end = k(u, v));
+            let least = row.iter().copied().fold(f32::INFINITY, f32::min);
+            let most = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            if factorization.reversed { [most, least] } else { [least, most] }
+        });
+        let rows = rows.collect();
+        Self { width, ks, rows }
+    }
+
+    /// Where the ray of pixel (u, v) ends.
+    #[inline(always)]
+    pub fn at(&self, u: usize, v: usize) -> f64 {
+        self.ks[v * self.width + u].into()
+    }
+
+    /// Where the first and the last ray of a scanline end.
+    pub fn of_row(&self, v: usize) -> [f64; 2] {
+        self.rows[v].map(f64::from)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::{Camera, Orbit};
+
+    fn view() -> View {
+        View::new(&Camera::Orbit(Orbit::default()), DVec3::ZERO, 10.0, 8, 6).unwrap()
+    }
+
+    #[test]
+    fn slopes_are_interpolated_and_tears_are_not() {
+        let distance = |n: usize| {
+            let (x, y) = ((n % 8) as f32, (n / 8) as f32);
+            if x < 4.0 { 3.0 * x + y } else { 100.0 - 2.0 * x }
+        };
+        let depth = SceneDepth::new(&view(), (0..48).map(distance).collect());
+        assert_eq!(depth.between(DVec2::new(2.5, 3.5)), 9.0);
+        assert_eq!(depth.between(DVec2::new(2.0, 3.0)), 3.0 * 1.5 + 2.5);
+        assert_eq!(depth.between(DVec2::new(6.0, 3.0)), 100.0 - 2.0 * 5.5);
+        assert_eq!(depth.between(DVec2::new(3.9, 3.5)), 12.0, "before the tear");
+        assert_eq!(depth.between(DVec2::new(4.1, 3.5)), 92.0, "behind it");
+        assert_eq!(depth.between(DVec2::new(-5.0, 0.5)), 0.0, "beyond the picture is as on its border");
+    }
+
+    #[test]
+    fn where_nothing_is_rays_do_not_end() {
+        let mut distances = vec![f32::INFINITY; 48];
+        distances[8 * 3 + 4] = 5.0;
+        let depth = SceneDepth::new(&view(), distances);
+        assert_eq!(depth.between(DVec2::new(4.4, 3.6)), 5.0);
+        assert_eq!(depth.between(DVec2::new(3.4, 3.6)), f32::INFINITY);
+    }
+
+    #[test]
+    fn a_window_depth_is_a_distance_along_the_ray() {
+        let camera = DMat4::from_translation(DVec3::new(0.0, 0.0, -30.0));
+        let projection = glam::dcamera::rh::proj::opengl::perspective(0.5, 8.0 / 6.0, 1.0, 100.0);
+        let view = View::new(&Camera::Matrices { view: camera, projection }, DVec3::ZERO, 10.0, 8, 6).unwrap();
+        // The plane z = 4, 26 mm in front of the eye.
+        let clip = projection * DVec3::new(0.0, 0.0, -26.0).extend(1.0);
+        let depth = SceneDepth::from_window(&[(clip.z / clip.w * 0.5 + 0.5) as f32; 48], &view, &projection, &camera);
+        for (x, y) in [(0, 0), (4, 3), (7, 5)] {
+            let ray = view.ray(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+            let met = ray.origin + ray.direction * f64::from(depth.at(x, y));
+            assert!((met.z - 4.0).abs() < 1e-3, "{met}");
+        }
+        let empty = SceneDepth::from_window(&[1.0; 48], &view, &projection, &camera);
+        assert_eq!(empty.at(3, 3), f32::INFINITY);
+    }
+}

@@ -1,0 +1,178 @@
+//! A client's scene: a depth buffer and a picture, to be merged with a volume's frame.
+//!
+//! They come with the request as `multipart/form-data`: `request` (JSON, whose camera is told by matrices, for a depth buffer means
+//! nothing without them), `depth` and, if the volume is to be blended over it, `color`. Sizes are checked against the request before
+//! anything is decoded.
+
+use std::io::Cursor;
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use axum::extract::multipart::MultipartError;
+use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Request};
+use axum::http::{HeaderMap, StatusCode, header};
+use glam::DMat4;
+use png::{BitDepth, ColorType, Transformations};
+use tower::{Layer, ServiceExt, service_fn};
+
+use super::App;
+use super::error::Problem;
+use crate::render::depth::SceneDepth;
+use crate::render::{Image, View};
+
+const OCTETS: &str = "application/octet-stream";
+const PNG: &str = "image/png";
+
+/// The largest value of a 16-bit depth.
+const WHITE: f32 = u16::MAX as f32;
+
+/// What came with the request.
+pub struct Parts {
+    depth: Part,
+    color: Option<Part>,
+}
+
+struct Part {
+    content_type: String,
+    bytes: Bytes,
+}
+
+/// A scene, ready to be merged with.
+#[derive(Debug)]
+pub struct Scene3d {
+    pub depth: Arc<SceneDepth>,
+    /// Opaque.
+    pub picture: Option<Image>,
+}
+
+/// True where the body has several parts.
+pub fn is_multipart(headers: &HeaderMap) -> bool {
+    let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
+    content_type.is_some_and(|text| text.trim_start().to_ascii_lowercase().starts_with("multipart/form-data"))
+}
+
+/// The request's JSON and its other parts.
+pub async fn read(app: &App, request: Request) -> Result<(Bytes, Parts), Problem> {
+    let reading = tokio::time::timeout(app.config.http.body_timeout, parts(app, request));
+    reading.await.map_err(|_| Problem::BodyTimeout)?
+}
+
+async fn parts(app: &App, request: Request) -> Result<(Bytes, Parts), Problem> {
+    let limit = app.config.http.max_scene_bytes.get();
+    let failed = |error: MultipartError| match error.status() {
+        StatusCode::PAYLOAD_TOO_LARGE => Problem::BodyTooLarge { limit },
+        _ => Problem::Malformed(error.body_text()),
+    };
+    // The router's limit is for JSON.
+    let limited = DefaultBodyLimit::max(limit).layer(service_fn(async |request: Request| Ok::<_, Problem>(request)));
+    let request = limited.oneshot(request).await?;
+    let mut multipart =
+        Multipart::from_request(request, &()).await.map_err(|rejection| Problem::Malformed(rejection.body_text()))?;
+    let (mut request, mut depth, mut color) = (None, None, None);
+    while let Some(field) = multipart.next_field().await.map_err(failed)? {
+        let name = field.name().unwrap_or_default().to_owned();
+        let place = match name.as_str() {
+            "request" => &mut request,
+            "depth" => &mut depth,
+            "color" => &mut color,
+            _ => return Err(Problem::refused(format!("/{name}"), "expected the parts request, depth and color")),
+        };
+        if place.is_some() {
+            return Err(Problem::refused(format!("/{name}"), "expected one such part, got two"));
+        }
+        let content_type = field.content_type().unwrap_or_default().to_owned();
+        *place = Some(Part { content_type, bytes: field.bytes().await.map_err(failed)? });
+    }
+    let depth = depth.ok_or_else(|| Problem::refused("/depth", "expected a part with the depth buffer"))?;
+    Ok((request.map(|part| part.bytes).unwrap_or_default(), Parts { depth, color }))
+}
+
+impl Parts {
+    /// Decodes the parts for the view that these matrices (view and projection) make.
+    ///
+    /// # Errors
+    /// 422 where there are no matrices, and where a part is not what it should be.
+    pub fn scene(&self, view: &View, matrices: Option<[DMat4; 2]>) -> Result<Scene3d, Problem> {
+        let told = "expected matrices: a depth buffer means nothing without its projection";
+        let [camera, projection] = matrices.ok_or_else(|| Problem::refused("/camera", told))?;
+        let values = self.depth.depths(view.size())?;
+        let wrong = values.iter().filter(|value| !(0.0..=1.0).contains(*value)).count();
+        if wrong > 0 {
+            return Err(Problem::refused("/depth", format!("expected values from 0 to 1, got {wrong} others")));
+        }
+        let depth = Arc::new(SceneDepth::from_window(&values, view, &projection, &camera));
+        let picture = self.color.as_ref().map(|color| color.picture(view.size())).transpose()?;
+        Ok(Scene3d { depth, picture })
+    }
+}
+
+impl Part {
+    /// Window-space depths, row by row from the top.
+    fn depths(&self, (width, height): (u32, u32)) -> Result<Vec<f32>, Problem> {
+        let pixels = width as usize * height as usize;
+        match self.content_type.as_str() {
+            OCTETS | "" => {
+                let expected = pixels * size_of::<f32>();
+                if self.bytes.len() != expected {
+                    let detail = format!(
+                        "expected {expected} bytes, 32-bit floats for {width} x {height} pixels, got {}",
+                        self.bytes.len()
+                    );
+                    return Err(Problem::refused("/depth", detail));
+                }
+                let values = self.bytes.chunks_exact(size_of::<f32>());
+                Ok(values.map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four bytes"))).collect())
+            }
+            PNG => {
+                let (color, depth, bytes) = self.decode("/depth", (width, height), Transformations::IDENTITY)?;
+                if (color, depth) != (ColorType::Grayscale, BitDepth::Sixteen) {
+                    let detail = format!("expected 16-bit gray, got {color:?} of {} bits", depth as u8);
+                    return Err(Problem::refused("/depth", detail));
+                }
+                let values = bytes.chunks_exact(2);
+                Ok(values.map(|pair| f32::from(u16::from_be_bytes([pair[0], pair[1]])) / WHITE).collect())
+            }
+            other => {
+                let detail =
+                    format!("expected {OCTETS} (32-bit floats, little endian) or {PNG} (16-bit gray), got {other}");
+                Err(Problem::refused("/depth", detail))
+            }
+        }
+    }
+
+    /// An opaque picture; transparency is not looked at.
+    fn picture(&self, size: (u32, u32)) -> Result<Image, Problem> {
+        if self.content_type != PNG {
+            let detail = format!("expected {PNG}, got {:?}", self.content_type);
+            return Err(Problem::refused("/color", detail));
+        }
+        let (color, _, bytes) = self.decode("/color", size, Transformations::normalize_to_color8())?;
+        let channels = color.samples();
+        let rgb = |pixel: &[u8]| if channels < 3 { [pixel[0]; 3] } else { [pixel[0], pixel[1], pixel[2]] };
+        let pixels = bytes.chunks_exact(channels).flat_map(rgb).collect();
+        Ok(Image { width: size.0, height: size.1, channels: 3, pixels })
+    }
+
+    fn decode(
+        &self,
+        pointer: &str,
+        (width, height): (u32, u32),
+        transformations: Transformations,
+    ) -> Result<(ColorType, BitDepth, Vec<u8>), Problem> {
+        let failed =
+            |error: png::DecodingError| Problem::refused(pointer, format!("not a PNG that can be read: {error}"));
+        let mut decoder = png::Decoder::new(Cursor::new(&self.bytes[..]));
+        decoder.set_transformations(transformations);
+        let mut reader = decoder.read_info().map_err(failed)?;
+        let got = reader.info().size();
+        if got != (width, height) {
+            let detail = format!("expected the frame's {width} x {height} pixels, got {} x {}", got.0, got.1);
+            return Err(Problem::refused(pointer, detail));
+        }
+        let size = reader.output_buffer_size().ok_or_else(|| Problem::refused(pointer, "the picture is too large"))?;
+        let mut bytes = vec![0; size];
+        let info = reader.next_frame(&mut bytes).map_err(failed)?;
+        bytes.truncate(info.buffer_size());
+        Ok((info.color_type, info.bit_depth, bytes))
+    }
+}
