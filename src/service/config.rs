@@ -6,7 +6,7 @@
 //! order. Every struct refuses unknown keys, so that a typing error ends the start with a message.
 
 use std::net::SocketAddr;
-use std::num::{NonZeroU64, NonZeroUsize};
+use std::num::{NonZeroU32, NonZeroU64, NonZeroUsize};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -94,6 +94,7 @@ pub struct Stream {
 pub struct Image {
     pub max_side: u32,
     pub max_pixels: u64,
+    pub max_frames: NonZeroU32,
 }
 
 #[derive(Clone, Debug, Deserialize)]

@@ -26,7 +26,7 @@ use super::request::RenderRequest;
 use super::store::LoadedVolume;
 use super::{App, negotiate};
 use crate::encode::Format;
-use crate::encode::animation::{Animation, MAX_FRAMES};
+use crate::encode::animation::Animation;
 use crate::render::Image;
 
 /// Frames unless told: ten degrees apart.
@@ -64,11 +64,11 @@ struct Turn {
 }
 
 impl Turn {
-    fn read(query: &str) -> Result<Self, Problem> {
+    fn read(query: &str, max_frames: u32) -> Result<Self, Problem> {
         let (mut frames, mut rate) = (None, None);
         for (name, text) in form_urlencoded::parse(query.as_bytes()) {
             let (value, most) = match &*name {
-                "frames" => (&mut frames, MAX_FRAMES),
+                "frames" => (&mut frames, max_frames),
                 "frames_per_second" => (&mut rate, MAX_RATE),
                 _ => {
                     let expected = "unknown parameter; expected frames or frames_per_second";
@@ -79,7 +79,7 @@ impl Turn {
             let expected = format!("expected one whole number from 1 to {most}, got {text:?}");
             *value = Some(number.ok_or_else(|| Problem::refused(format!("/{name}"), expected))?);
         }
-        Ok(Self { frames: frames.unwrap_or(DEFAULT_FRAMES), rate: rate.unwrap_or(DEFAULT_RATE) })
+        Ok(Self { frames: frames.unwrap_or(DEFAULT_FRAMES.min(max_frames)), rate: rate.unwrap_or(DEFAULT_RATE) })
     }
 }
 
@@ -92,7 +92,7 @@ pub async fn from_body(
 ) -> Result<Response, Problem> {
     let Path(id) = id?;
     let volume = app.store.loaded(&id)?;
-    let turn = Turn::read(query.as_deref().unwrap_or_default())?;
+    let turn = Turn::read(query.as_deref().unwrap_or_default(), app.config.image.max_frames.get())?;
     let headers = request.headers().clone();
     let body = read_json(&app, request).await?;
     let request = RenderRequest::from_json(if body.is_empty() { b"{}" } else { &body })?;
@@ -301,8 +301,8 @@ mod tests {
 
     #[test]
     fn frames_and_rate_are_whole_numbers_in_range() {
-        assert_eq!(Turn::read("").unwrap(), Turn { frames: 36, rate: 15 });
-        assert_eq!(Turn::read("frames=3&frames_per_second=100").unwrap(), Turn { frames: 3, rate: 100 });
+        assert_eq!(Turn::read("", 3600).unwrap(), Turn { frames: 36, rate: 15 });
+        assert_eq!(Turn::read("frames=3&frames_per_second=100", 3600).unwrap(), Turn { frames: 3, rate: 100 });
         for bad in [
             "frames=0",
             "frames=3601",
@@ -312,7 +312,7 @@ mod tests {
             "frame=2",
             "frames_per_second=101",
         ] {
-            assert!(matches!(Turn::read(bad), Err(Problem::Refused(_))), "{bad}");
+            assert!(matches!(Turn::read(bad, 3600), Err(Problem::Refused(_))), "{bad}");
         }
     }
 }
