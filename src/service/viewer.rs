@@ -63,6 +63,7 @@ static FILES: LazyLock<Vec<File>> = LazyLock::new(|| {
         "js/scan-panel.js",
         "js/share.js",
         "js/state.js",
+        "js/stream.js",
         "js/thumbnails.js",
         "js/timings.js",
         "js/transfer-editor.js",

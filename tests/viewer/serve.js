@@ -9,6 +9,7 @@
 import { once } from 'node:events';
 import { readFile } from 'node:fs/promises';
 import http from 'node:http';
+import net from 'node:net';
 import { extname } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
@@ -27,6 +28,7 @@ export async function serve(service, port) {
     response.writeHead(200, { 'Content-Type': TYPES[extname(name)], 'Content-Security-Policy': POLICY, 'Cache-Control': 'no-store' });
     response.end(file);
   });
+  server.on('upgrade', (request, socket, head) => tunnel(service, request, socket, head));
   server.listen(port, '127.0.0.1');
   await once(server, 'listening');
   return server;
@@ -43,6 +45,20 @@ function forward(service, request, response) {
   // A viewer that gives a frame up ends the service's work on it.
   response.on('close', () => forwarded.destroy());
   request.pipe(forwarded);
+}
+
+/**
+ * A stream, byte by byte. `Host` stays what the browser said, as the service compares it with `Origin`.
+ * @param {string} service @param {http.IncomingMessage} request @param {import('node:stream').Duplex} socket @param {Buffer} head
+ */
+function tunnel(service, { url, rawHeaders }, socket, head) {
+  const { hostname, port } = new URL(service);
+  const behind = net.connect(Number(port), hostname);
+  const headers = rawHeaders.map((text, i) => text + (i % 2 ? '\r\n' : ': ')).join('');
+  behind.write(`GET ${url} HTTP/1.1\r\n${headers}\r\n`);
+  behind.write(head);
+  socket.pipe(behind).pipe(socket);
+  for (const [one, other] of [[socket, behind], [behind, socket]]) one.on('error', () => {}).on('close', () => other.destroy());
 }
 
 if (process.argv[1] === fileURLToPath(import.meta.url)) {

@@ -6,6 +6,7 @@
 import { spawn } from 'node:child_process';
 import { existsSync, statSync } from 'node:fs';
 import { once } from 'node:events';
+import http from 'node:http';
 import { createInterface } from 'node:readline';
 import { fileURLToPath } from 'node:url';
 import { serve } from './serve.js';
@@ -47,6 +48,14 @@ export class Service {
     if (process.env.WEB !== 'disk') return;
     this.#front = await serve(this.address, 0);
     this.address = `http://127.0.0.1:${/** @type {import('node:net').AddressInfo} */ (this.#front.address()).port}`;
+  }
+
+  /** Opens a stream and leaves it open. @returns {Promise<() => void>} ends it */
+  async hold() {
+    const headers = { Connection: 'Upgrade', Upgrade: 'websocket', 'Sec-WebSocket-Version': '13', 'Sec-WebSocket-Key': 'c2l4dGVlbiBieXRlcyEhIQ==' };
+    const asked = http.get(`${this.address}/v1/volumes/demo/stream`, { headers });
+    const [, socket] = await once(asked, 'upgrade');
+    return () => socket.destroy();
   }
 
   async stop() {

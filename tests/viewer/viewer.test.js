@@ -22,20 +22,57 @@ const FRAMES = '**/v1/volumes/demo/frame';
 
 /** @type {import('playwright-core').Browser} */ let browser;
 /** @type {Service} */ let service;
+/** One with a single stream, for which a test may take. @type {Service} */ let narrow;
 
 before(async () => {
-  [browser, service] = await Promise.all([launch(), Service.start()]);
+  [browser, service, narrow] = await Promise.all([launch(), Service.start(), Service.start('127.0.0.1:0', { SHEARWARP_STREAM__MAX_STREAMS: '1' })]);
 });
 after(async () => {
   await browser?.close();
-  await service?.stop();
+  await Promise.all([service?.stop(), narrow?.stop()]);
 });
 
-/** A visitor of a link whose picture is there. @param {string} [hash] @param {import('playwright-core').BrowserContextOptions} [options] */
-async function arrived(hash = CALM, options = {}) {
-  const seen = await visit(browser, `${service.address}/${hash}`, options);
+/** A visitor of a link whose picture is there. @param {string} [hash] @param {import('playwright-core').BrowserContextOptions} [options] @param {Service} [at] */
+async function arrived(hash = CALM, options = {}, at = service) {
+  const seen = await visit(browser, `${at.address}/${hash}`, options);
   await rested(seen.page);
   return seen;
+}
+
+/** What a page sends and gets over streams, from now on. @param {Page} page */
+function streams(page) {
+  /** @type {{opened: number, ended: number, sent: any[], frames: {header: any, picture: Buffer}[]}} */
+  const seen = { opened: 0, ended: 0, sent: [], frames: [] };
+  page.on('websocket', (socket) => {
+    seen.opened++;
+    socket.on('close', () => seen.ended++);
+    socket.on('framesent', ({ payload }) => seen.sent.push(JSON.parse(String(payload))));
+    socket.on('framereceived', ({ payload }) => {
+      if (typeof payload === 'string') return;
+      const length = payload.readUInt32LE(0);
+      seen.frames.push({ header: JSON.parse(payload.toString('utf8', 4, 4 + length)), picture: payload.subarray(4 + length) });
+    });
+  });
+  return seen;
+}
+
+/** @param {Page} page @param {() => boolean | Promise<boolean>} so */
+async function until(page, so) {
+  for (const start = Date.now(); !(await so()); await page.waitForTimeout(20)) assert.ok(Date.now() - start < 20_000, `never: ${so}`);
+}
+
+/** A visitor whose stream is open. @param {Service} [at] */
+async function connected(at = service) {
+  const seen = await visit(browser, 'about:blank');
+  const stream = streams(seen.page);
+  /** @type {import('playwright-core').Request[]} */ const posts = [];
+  seen.page.on('request', (request) => request.method() === 'POST' && posts.push(request));
+  await seen.page.goto(`${at.address}/${CALM}`);
+  await rested(seen.page);
+  await until(seen.page, () => stream.opened > 0);
+  await seen.page.waitForTimeout(200);
+  posts.length = 0;
+  return { ...seen, stream, posts };
 }
 
 /** A number of the link in the address. @param {Page} page @param {string} name */
@@ -255,8 +292,9 @@ test('the lists are those of the service', async () => {
   await close();
 });
 
-test('on a slow line the newest view wins and the last picture moves along', async () => {
-  const { page, close } = await arrived();
+test('on a slow line without a stream the newest view wins and the last picture moves along', async () => {
+  const release = await narrow.hold();
+  const { page, close } = await arrived(CALM, {}, narrow);
   let [most, all] = [0, 0];
   // Where a machine is slow the view rests between two moves, and more than drafts is asked for.
   const drafts = new Set();
@@ -290,10 +328,117 @@ test('on a slow line the newest view wins and the last picture moves along', asy
   assert.equal((await picture(other.page)).hash, last.hash);
   await other.close();
   await close();
+  release();
+});
+
+test('frames come over the stream, byte for byte those of the route', async () => {
+  const { page, errors, strangers, stream, posts, close } = await connected();
+  const first = await picture(page);
+  await drag(page, '#view', [0.5, 0.5], [0.7, 0.45]);
+  await rested(page);
+  assert.equal(posts.length, 0, 'nothing is asked for beside it');
+  const asked = stream.sent.filter(({ request }) => request);
+  const newest = stream.frames[stream.frames.length - 1];
+  assert.deepEqual([asked[0].moving, asked[0].request.quality], ['draft', 'draft']);
+  assert.deepEqual([newest.header.request, newest.header.quality], [asked.length, 'standard']);
+  const numbers = stream.frames.map(({ header }) => header.sequence);
+  await until(page, () => numbers.every((number) => stream.sent.some(({ ack }) => ack === number)));
+  const response = await fetch(`${service.address}/v1/volumes/demo/frame`, {
+    method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(asked[asked.length - 1].request),
+  });
+  assert.ok(Buffer.from(await response.arrayBuffer()).equals(newest.picture));
+  const turned = await picture(page);
+  assert.notEqual(turned.hash, first.hash);
+  // A first picture comes over HTTP.
+  await linked(page, 'azimuth', (azimuth) => azimuth !== null);
+  const other = await arrived(new URL(page.url()).hash);
+  assert.equal((await picture(other.page)).hash, turned.hash);
+  assert.deepEqual([errors, strangers.filter((url) => !url.startsWith(service.address))], [[], []]);
+  await other.close();
+  await close();
+});
+
+test('on a slow line two frames of the stream are on their way at most', async () => {
+  const { page, close } = await visit(browser, 'about:blank');
+  let [under, most, all] = [0, 0, 0];
+  await page.routeWebSocket(/stream$/, (socket) => {
+    const server = socket.connectToServer();
+    socket.onMessage((message) => {
+      if (JSON.parse(String(message)).moving === 'draft') most = Math.max(most, ++under);
+      server.send(message);
+    });
+    server.onMessage((message) => setTimeout(() => {
+      all++;
+      if (String(message).includes('"quality":"draft"')) under--;
+      socket.send(message);
+    }, 300));
+  });
+  await page.goto(`${service.address}/${CALM}`);
+  await rested(page);
+  await page.waitForTimeout(500);
+  const first = await picture(page);
+  const box = await page.locator('#view').boundingBox();
+  assert.ok(box);
+  await page.mouse.move(box.x + 200, box.y + 200);
+  await page.mouse.down({ button: 'middle' });
+  for (let i = 1; i <= 60; i++) await page.mouse.move(box.x + 200 + 4 * i, box.y + 200);
+  assert.notEqual((await picture(page)).hash, first.hash, 'panned at once');
+  await page.mouse.up({ button: 'middle' });
+  await rested(page);
+  const last = await picture(page);
+  assert.ok(most > 0 && most <= 2, `${most} drafts were under way at once`);
+  assert.ok(all < 30, `${all} frames for 60 moves`);
+  await linked(page, 'target', (target) => target !== null);
+  const other = await arrived(new URL(page.url()).hash);
+  assert.equal((await picture(other.page)).hash, last.hash);
+  await other.close();
+  await close();
+});
+
+test('where no stream is to be had frames come over HTTP, and over one when there is', async () => {
+  const release = await narrow.hold();
+  const { page, stream, posts, errors, close } = await connected(narrow);
+  const first = await picture(page);
+  await drag(page, '#view', [0.5, 0.5], [0.7, 0.45]);
+  await rested(page);
+  const turned = await picture(page);
+  assert.notEqual(turned.hash, first.hash);
+  assert.ok(posts.length > 1 && stream.frames.length === 0);
+  assert.equal(await page.locator('.message').count(), 0);
+  release();
+  await until(page, async () => {
+    await page.locator('#view').press('[');
+    return stream.frames.length > 0;
+  });
+  // What the browser itself says about refused handshakes, and nothing else.
+  assert.deepEqual(errors.filter((error) => !error.includes('503')), []);
+  await close();
+});
+
+test('a page that nobody sees asks for nothing', async () => {
+  const { page, stream, posts, errors, close } = await connected();
+  const first = await picture(page);
+  const show = (/** @type {boolean} */ shown) => page.evaluate((hidden) => {
+    Object.defineProperty(document, 'hidden', { value: hidden, configurable: true });
+    document.dispatchEvent(new Event('visibilitychange'));
+  }, !shown);
+  await show(false);
+  await until(page, () => stream.ended === 1);
+  await page.locator('#view').focus();
+  await page.keyboard.press('ArrowRight');
+  await page.waitForTimeout(500);
+  assert.deepEqual([posts.length, stream.sent.length, stream.opened], [0, 0, 1]);
+  await show(true);
+  await rested(page);
+  assert.notEqual((await picture(page)).hash, first.hash);
+  await until(page, () => stream.opened === 2);
+  assert.deepEqual(errors, []);
+  await close();
 });
 
 test('a busy service is named, and asked again when it said', async () => {
-  const { page, errors, close } = await arrived();
+  const release = await narrow.hold();
+  const { page, errors, close } = await arrived(CALM, {}, narrow);
   let refusals = 0;
   await page.route(FRAMES, (route) => {
     if (++refusals > 2) return route.continue();
@@ -308,19 +453,20 @@ test('a busy service is named, and asked again when it said', async () => {
   await rested(page);
   assert.notEqual((await picture(page)).hash, before.hash);
   assert.equal(await page.locator('.message').count(), 0);
-  // What the browser itself says about the two refusals, and nothing else.
+  // What the browser itself says about refusals, and nothing else.
   assert.deepEqual(errors.filter((error) => !error.includes('503')), []);
   await close();
+  release();
 });
 
 test('a full queue is survived', async () => {
-  const narrow = await Service.start('127.0.0.1:0', { SHEARWARP_RENDER__QUEUE: '1', SHEARWARP_RENDER__JOBS: '1' });
-  const seen = await visit(browser, `${narrow.address}/${CALM}`);
-  await rested(seen.page);
+  const small = await Service.start('127.0.0.1:0', { SHEARWARP_RENDER__QUEUE: '1', SHEARWARP_RENDER__JOBS: '1', SHEARWARP_STREAM__MAX_STREAMS: '1' });
+  await small.hold();
+  const seen = await arrived(CALM, {}, small);
   // Slow frames of others take the one job and the one place in the queue.
   const abort = new AbortController();
   const slow = { algorithm: 'raycast', sample_distance: 0.01, early_ray_termination: 1, image: { width: 2048, height: 2048 } };
-  const others = Array.from({ length: 4 }, () => fetch(`${narrow.address}/v1/volumes/demo/frame`, {
+  const others = Array.from({ length: 4 }, () => fetch(`${small.address}/v1/volumes/demo/frame`, {
     method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(slow), signal: abort.signal,
   }).catch(() => null));
   await seen.page.waitForTimeout(300);
@@ -331,13 +477,15 @@ test('a full queue is survived', async () => {
   await rested(seen.page);
   assert.equal(await seen.page.locator('.message').count(), 0);
   await seen.close();
-  await narrow.stop();
+  await small.stop();
 });
 
 test('a restart of the service is survived', async () => {
   const mortal = await Service.start();
-  const seen = await visit(browser, `${mortal.address}/${CALM}`);
+  const seen = await connected(mortal);
+  await drag(seen.page, '#view', [0.5, 0.5], [0.55, 0.5]);
   await rested(seen.page);
+  assert.ok(seen.stream.frames.length > 0);
   const before = await picture(seen.page);
   await mortal.stop();
   await drag(seen.page, '#view', [0.5, 0.5], [0.6, 0.5]);
@@ -350,6 +498,12 @@ test('a restart of the service is survived', async () => {
   await rested(seen.page);
   assert.notEqual((await picture(seen.page)).hash, before.hash);
   assert.equal(await seen.page.locator('.message').count(), 0);
+  // Once more over a stream, when the time for it has come.
+  const { length } = seen.stream.frames;
+  await until(seen.page, async () => {
+    await seen.page.locator('#view').press('[');
+    return seen.stream.frames.length > length;
+  });
   await seen.close();
   await risen.stop();
 });
@@ -363,6 +517,21 @@ test('a refusal names the field', async () => {
   await page.getByRole('radio', { name: 'Parallel' }).check();
   await rested(page);
   assert.equal(await message.count(), 0);
+  // The same over the stream, which goes on.
+  await linked(page, 'projection', (projection) => projection === null);
+  const stream = streams(page);
+  await page.reload();
+  await rested(page);
+  await until(page, () => stream.opened > 0);
+  await page.waitForTimeout(200);
+  await page.evaluate(() => (location.hash += '&projection=perspective&fov_y=500'));
+  await message.waitFor();
+  assert.match(await message.innerText(), /\/camera\/fov_y/);
+  assert.ok(stream.sent.some(({ request }) => request?.camera.fov_y === 500));
+  await page.getByRole('tab', { name: 'View' }).click();
+  await page.getByRole('radio', { name: 'Parallel' }).check();
+  await rested(page);
+  assert.ok(stream.frames.length > 0 && stream.ended === 0);
   await close();
 });
 

@@ -26,7 +26,7 @@ import { framePath } from './request.js';
 /** @typedef {{name: string, title: string, description: string, modality: string[], values: 'file' | 'range', shading: boolean, transfer_function: import('./state.js').TransferFunction}} Preset */
 /** @typedef {{bins: number, min: number, max: number, counts: number[]}} Histogram */
 /** @typedef {{preset: string, shading: boolean, transfer_function: import('./state.js').TransferFunction}} Fitted */
-/** @typedef {{blob: Blob, stages: Record<string, number>, algorithm: string, downloaded: number}} FrameAnswer */
+/** @typedef {{blob: Blob, stages: Record<string, number>, algorithm: string, downloaded: number, drawn?: () => void}} FrameAnswer `drawn` tells the service that there is room for another */
 /** @typedef {'busy' | 'loading' | 'gone' | 'refused' | 'missing' | 'failed'} Kind */
 
 /** Why there is no answer, and in which way that may change. */
@@ -69,14 +69,18 @@ async function ask(path, init) {
 /** @param {Response} response */
 async function problemOf(response) {
   const body = await response.json().catch(() => ({}));
-  const detail = String(body.detail ?? `status ${response.status}`);
-  const retryAfter = Number(response.headers.get('Retry-After')) || 1;
+  return problemIn({ ...body, status: response.status }, Number(response.headers.get('Retry-After')) || 1);
+}
+
+/** What the service says went wrong (RFC 9457). @param {any} body @param {number} [retryAfter] seconds */
+export function problemIn(body, retryAfter = 1) {
+  const detail = String(body.detail ?? `status ${body.status}`);
   const of = (/** @type {Kind} */ kind) => new Problem(kind, detail, { retryAfter, errors: body.errors ?? [] });
-  if (response.status === 503) return of(String(body.type).endsWith(':loading') ? 'loading' : 'busy');
-  if (response.status === 422) return of('refused');
+  if (body.status === 503) return of(String(body.type).endsWith(':loading') ? 'loading' : 'busy');
+  if (body.status === 422) return of('refused');
   // What a proxy says when the service behind it is down.
-  if (response.status === 502) return of('gone');
-  return of(response.status === 404 ? 'missing' : 'failed');
+  if (body.status === 502) return of('gone');
+  return of(body.status === 404 ? 'missing' : 'failed');
 }
 
 /** @param {string} path @param {AbortSignal} [signal] */

@@ -8,8 +8,7 @@
  * for in `standard`, then in `high` where that is fast; both are given up at the next move, which ends
  * the service's work on them too.
  *
- * Where a frame comes from is one function, {@link Source}: HTTP today; a stream over one connection fits in
- * the same place.
+ * Where a frame comes from is one function, {@link Source}: a stream over one connection, HTTP without one (stream.js).
  */
 import { Problem } from './api.js';
 
@@ -17,7 +16,7 @@ import { Problem } from './api.js';
 /** @typedef {'draft' | 'standard' | 'high'} Stage */
 /** @typedef {{width: number, height: number}} Size */
 /** @typedef {import('./api.js').FrameAnswer} FrameAnswer */
-/** @typedef {(state: State, size: Size, stage: Stage, signal: AbortSignal) => Promise<FrameAnswer>} Source */
+/** @typedef {(state: State, size: Size, stage: Stage, signal: AbortSignal) => Promise<FrameAnswer | null>} Source `null`: passed over for a newer one */
 /** @typedef {FrameAnswer & {bitmap: ImageBitmap, state: State, size: Size, stage: Stage, latency: number}} Frame */
 /** @typedef {{version: number, stage: Stage, abort: AbortController, started: number}} Flight */
 
@@ -42,6 +41,7 @@ export class Frames {
   /** Whether more of this version was refused, failed, or is too slow. */
   #hopeless = false;
   #moving = false;
+  #paused = false;
   #failures = 0;
   #scale = 1;
   /** Of drafts, ms: what the service and the picture's way take, smoothed and of the last; and all of it. */
@@ -88,7 +88,7 @@ export class Frames {
 
   /** Whether all is shown that will be. */
   get idle() {
-    return this.#flights.length === 0 && !this.#moving && !this.#retry && this.#next() === null;
+    return !this.#paused && this.#flights.length === 0 && !this.#moving && !this.#retry && this.#next() === null;
   }
 
   /** Asks again at once after a problem that may have passed. */
@@ -96,6 +96,13 @@ export class Frames {
     clearTimeout(this.#retry);
     this.#retry = 0;
     this.#pump();
+  }
+
+  /** A page that nobody sees asks for nothing. @param {boolean} paused */
+  pause(paused) {
+    this.#paused = paused;
+    if (paused) this.#abort(() => true);
+    else this.#pump();
   }
 
   #settle() {
@@ -131,7 +138,7 @@ export class Frames {
   }
 
   #pump() {
-    if (this.#retry || !this.state().volume) return;
+    if (this.#paused || this.#retry || !this.state().volume) return;
     const stage = this.#next();
     if (!stage) return;
     // Refinements wait for what they refine.
@@ -162,14 +169,16 @@ export class Frames {
     const kind = this.#kind();
     const unasked = stage === 'high' && state.quality === 'auto';
     const patience = unasked ? setTimeout(() => this.#tooSlow(flight, kind), PATIENCE) : 0;
+    let answer;
     try {
-      const answer = await this.source(state, size, stage, abort.signal);
-      const bitmap = await createImageBitmap(answer.blob);
-      if (!abort.signal.aborted) this.#landed(flight, { ...answer, bitmap, state, size, stage, latency: performance.now() - flight.started });
+      answer = await this.source(state, size, stage, abort.signal);
+      const bitmap = answer && (await createImageBitmap(answer.blob));
+      if (answer && bitmap && !abort.signal.aborted) this.#landed(flight, { ...answer, bitmap, state, size, stage, latency: performance.now() - flight.started });
     } catch (error) {
       if (!abort.signal.aborted) this.#failed(flight, error);
     } finally {
       clearTimeout(patience);
+      answer?.drawn?.();
       this.#flights = this.#flights.filter((other) => other !== flight);
       this.onRefining(this.#flights.some((other) => other.stage === 'high'));
       this.#pump();

@@ -19,6 +19,7 @@ import { renderRequest } from './request.js';
 import { ScanPanel } from './scan-panel.js';
 import { Share } from './share.js';
 import { DEFAULT_CAMERA, Store } from './state.js';
+import { Stream } from './stream.js';
 import { Thumbnails } from './thumbnails.js';
 import { Timings } from './timings.js';
 import { TransferEditor } from './transfer-editor.js';
@@ -51,8 +52,8 @@ const sphere = () => {
 };
 
 const view = new View(/** @type {HTMLCanvasElement} */ (byId('picture')), store, sphere);
-const frames = new Frames(() => store.state, () => view.size(), (state, size, stage, signal) =>
-  frame(state.volume, renderRequest(state, size, stage), signal));
+const stream = new Stream((state, size, stage, signal) => frame(state.volume, renderRequest(state, size, stage), signal));
+const frames = new Frames(() => store.state, () => view.size(), stream.source);
 const messages = new Messages(byId('messages'), byId('spoken'), () => (volumes.length ? frames.retry() : void load()));
 const thumbnails = new Thumbnails(() => frames.idle);
 const look = new Look(store, volume);
@@ -182,7 +183,7 @@ async function load() {
   } catch (error) {
     const problem = error instanceof Problem ? error : new Problem('failed', String(error));
     messages.show(problem);
-    if (problem.passing) setTimeout(load, 1000 * problem.retryAfter);
+    if (problem.passing) loadAfter(1000 * problem.retryAfter);
     return;
   }
   const known = volumes.some(({ id }) => id === store.state.volume);
@@ -191,8 +192,18 @@ async function load() {
   else changed(false);
   if (!known && first && store.state.volume !== first.id) messages.show(missing());
   await enter();
-  if (volumes.some(({ status }) => status === 'loading')) setTimeout(load, LOADING_PAUSE);
+  if (volumes.some(({ status }) => status === 'loading')) loadAfter(LOADING_PAUSE);
 }
+
+/** @param {number} ms and until somebody looks */
+const loadAfter = (ms) => setTimeout(() => (document.hidden ? document.addEventListener('visibilitychange', load, { once: true }) : load()), ms);
+
+function seen() {
+  frames.pause(document.hidden);
+  if (document.hidden) stream.close();
+}
+document.addEventListener('visibilitychange', seen);
+seen();
 
 openTab('look');
 takeIcons().catch(() => {}); // Labels and titles say the same.
