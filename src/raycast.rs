@@ -16,7 +16,6 @@ mod projection;
 use glam::{DMat4, DVec2, DVec3, Vec4};
 use rayon::prelude::*;
 
-use crate::render::view::HalfSpace;
 use crate::render::{Blend, Cancel, Projection, Ray, RenderError, Scene, Settings, View};
 use crate::volume::gradient::Code;
 use crate::volume::{Scalars, Volume};
@@ -150,9 +149,7 @@ impl<'a> Rays<'a> {
             cut(start[axis], direction[axis]);
             cut(self.last[axis] - start[axis], -direction[axis]);
         }
-        for HalfSpace { normal, offset } in self.view.clip() {
-            cut(normal.dot(ray.origin) + offset, normal.dot(ray.direction));
-        }
+        let [enter, leave] = self.view.clip().span(ray.origin, ray.direction, [enter, leave]);
         (enter < leave).then(|| {
             // A length that is a whole number of steps but for rounding takes that number.
             let steps = ((leave - enter) / self.step - 1e-6).ceil().max(1.0);

@@ -25,11 +25,11 @@ mod tests;
 
 use std::ops::Range;
 
-use glam::{DAffine2, DMat3, DMat4, DVec2, DVec3};
+use glam::{DAffine2, DAffine3, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
 use super::depth::Ends;
-use super::view::{HalfSpace, Rays, View};
+use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
@@ -76,8 +76,8 @@ pub struct Factorization {
     /// The least and the greatest position, in pixels, at which a final pixel sees a slice. The image
     /// has at least one pixel more along either axis.
     pub extent: [DVec2; 2],
-    /// The view's clip planes, in voxel coordinates.
-    clip: Vec<HalfSpace>,
+    /// What the view clips to, in voxel coordinates.
+    clip: Clip,
     /// Where opaque geometry ends the rays of pixels.
     ends: Option<Ends>,
 }
@@ -277,28 +277,17 @@ impl Factorization {
         index
     }
 
-    /// The pixels u of scanline `v` that the view's clip planes leave of a slice, which may be between
+    /// The pixels u of scanline `v` that clipping leaves of a slice, which may be between
     /// two slices of voxels.
     pub fn visible_pixels(&self, v: usize, k: f64) -> Range<usize> {
         let Lattice { offset, scale } = self.lattice(k);
         let start = DVec3::new(offset.x, offset.y + scale * v as f64, k);
-        let (mut low, mut high) = (0.0, (self.size[0] - 1) as f64);
-        for half in &self.clip {
-            let rate = half.normal.x * scale;
-            let rest = half.normal.dot(start) + half.offset;
-            if rate > 0.0 {
-                low = f64::max(low, -rest / rate);
-            } else if rate < 0.0 {
-                high = f64::min(high, -rest / rate);
-            } else if rest < 0.0 {
-                return 0..0;
-            }
-        }
+        let [low, high] = self.clip.span(start, DVec3::X * scale, [0.0, (self.size[0] - 1) as f64]);
         if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
     }
 
     /// Pixels u of scanline `v` of which clip planes and geometry may leave something between two slices (in the order of the walk), and
-    /// those of which they leave all: half-spaces are convex.
+    /// those of which they leave all: what is clipped to is convex.
     pub fn clipped_pixels(&self, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
         let [a, b] = slices.map(|k| self.visible_pixels(v, k));
         let whole = a.start.max(b.start)..a.end.min(b.end);
@@ -317,16 +306,7 @@ impl Factorization {
     /// of the way from the first to the second; the first not below the second where that is nothing.
     pub fn cut(&self, u: usize, v: usize, slices: [f64; 2]) -> [f32; 2] {
         let [from, to] = slices.map(|k| self.voxel_from_sheared(u as f64, v as f64, k));
-        let (mut enter, mut leave) = (0.0, 1.0);
-        for half in &self.clip {
-            let [a, b] = [from, to].map(|at| half.normal.dot(at) + half.offset);
-            match (a < 0.0, b < 0.0) {
-                (true, true) => return [1.0, 1.0],
-                (true, false) => enter = f64::max(enter, a / (a - b)),
-                (false, true) => leave = f64::min(leave, a / (a - b)),
-                (false, false) => {}
-            }
-        }
+        let [enter, mut leave] = self.clip.span(from, to - from, [0.0, 1.0]);
         if let Some(ends) = &self.ends {
             leave = f64::min(leave, (ends.at(u, v) - slices[0]) / (slices[1] - slices[0]));
         }
@@ -366,13 +346,11 @@ fn permuted(principal_axis: usize, v: DVec3) -> DVec3 {
     DVec3::from_array(PERMUTATIONS[principal_axis].map(|axis| v[axis]))
 }
 
-/// The view's half-spaces in permuted voxel coordinates.
-fn clip(principal_axis: usize, view: &View, world_from_index: &DMat4) -> Vec<HalfSpace> {
-    let in_voxels = |half: &HalfSpace| HalfSpace {
-        normal: permuted(principal_axis, world_from_index.transpose().transform_vector3(half.normal)),
-        offset: half.normal.dot(world_from_index.col(3).truncate()) + half.offset,
-    };
-    view.clip().iter().map(in_voxels).collect()
+/// What the view clips to, in permuted voxel coordinates.
+fn clip(principal_axis: usize, view: &View, world_from_index: &DMat4) -> Clip {
+    let [i, j, k] = PERMUTATIONS[principal_axis].map(|axis| world_from_index.col(axis).truncate());
+    view.clip()
+        .told_by(DAffine3 { matrix3: DMat3::from_cols(i, j, k), translation: world_from_index.col(3).truncate() })
 }
 
 /// The axis most parallel to the rays, in index space, so that no slice shears by more than a voxel.

@@ -28,7 +28,7 @@ use crate::simd;
 use crate::volume::{PreparedVolume, Volume};
 use factorization::Factorization;
 pub use image::Image;
-pub use view::{Camera, HalfSpace, LookAt, Orbit, Projection, Ray, View, ViewError};
+pub use view::{Ball, Camera, Clip, HalfSpace, LookAt, Orbit, Projection, Ray, View, ViewError};
 
 /// Accumulated opacity at which a pixel is done: what is left of the light would change an 8-bit
 /// channel by up to 5 (draft), 3 (standard), or nothing (reference).

@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
+use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3, DVec4};
 
 use super::depth::SceneDepth;
 
@@ -113,6 +113,85 @@ pub struct HalfSpace {
     pub offset: f64,
 }
 
+/// A ball of world space or, in the space of a volume's indices, what becomes of one: points that `unit_from_space` takes
+/// within 1 of the origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ball {
+    unit_from_space: DAffine3,
+}
+
+impl Ball {
+    /// `radius` above 0.
+    pub fn new(centre: DVec3, radius: f64) -> Self {
+        Self { unit_from_space: DAffine3::from_scale(DVec3::splat(1.0 / radius)) * DAffine3::from_translation(-centre) }
+    }
+
+    /// The same ball where points are told by other coordinates.
+    pub fn told_by(&self, space_from_other: DAffine3) -> Self {
+        Self { unit_from_space: self.unit_from_space * space_from_other }
+    }
+
+    /// Where `start + t step` enters and leaves it; the first above the second where it does not.
+    #[inline(always)]
+    pub fn span(&self, start: DVec3, step: DVec3) -> [f64; 2] {
+        let from = self.unit_from_space.transform_point3(start);
+        let along = self.unit_from_space.transform_vector3(step);
+        let (a, b, c) = (along.length_squared(), from.dot(along), from.length_squared() - 1.0);
+        let root = (b * b - a * c).max(-1.0);
+        if root < 0.0 || a == 0.0 {
+            return if a == 0.0 && c <= 0.0 { [f64::NEG_INFINITY, f64::INFINITY] } else { [1.0, 0.0] };
+        }
+        [(-b - root.sqrt()) / a, (-b + root.sqrt()) / a]
+    }
+}
+
+/// What cuts something of the volume away: all that lies outside.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Clip {
+    pub halves: Vec<HalfSpace>,
+    pub balls: Vec<Ball>,
+}
+
+impl Clip {
+    /// True where nothing is cut away.
+    pub fn is_empty(&self) -> bool {
+        self.halves.is_empty() && self.balls.is_empty()
+    }
+
+    /// The same where points are told by other coordinates.
+    pub fn told_by(&self, space_from_other: DAffine3) -> Self {
+        let half = |half: &HalfSpace| HalfSpace {
+            normal: space_from_other.matrix3.transpose() * half.normal,
+            offset: half.normal.dot(space_from_other.translation) + half.offset,
+        };
+        Self {
+            halves: self.halves.iter().map(half).collect(),
+            balls: self.balls.iter().map(|ball| ball.told_by(space_from_other)).collect(),
+        }
+    }
+
+    /// What of a span of `start + t step` is left; it ends before it begins where that is nothing.
+    #[inline(always)]
+    pub fn span(&self, start: DVec3, step: DVec3, [mut enter, mut leave]: [f64; 2]) -> [f64; 2] {
+        for half in &self.halves {
+            let (distance, rate) = (half.normal.dot(start) + half.offset, half.normal.dot(step));
+            if rate > 0.0 {
+                enter = enter.max(-distance / rate);
+            } else if rate < 0.0 {
+                leave = leave.min(-distance / rate);
+            } else if distance < 0.0 {
+                leave = f64::NEG_INFINITY;
+            }
+        }
+        for ball in &self.balls {
+            let [first, last] = ball.span(start, step);
+            (enter, leave) =
+                if first > last { (enter, f64::NEG_INFINITY) } else { (enter.max(first), leave.min(last)) };
+        }
+        [enter, leave]
+    }
+}
+
 /// The rays of an image. Pixel coordinates are continuous: column `i` has its centre at `i + 0.5`,
 /// row 0 is on top.
 #[derive(Clone, Debug, PartialEq)]
@@ -123,7 +202,7 @@ pub struct View {
     /// Unit vector from the eye into the picture, perpendicular to the image plane.
     forward: DVec3,
     /// Near and far planes of a camera told by matrices, and what else is cut away.
-    clip: Vec<HalfSpace>,
+    clip: Clip,
     /// Opaque geometry.
     depth: Option<Arc<SceneDepth>>,
 }
@@ -214,7 +293,7 @@ impl View {
             Projection::Parallel => Rays::Parallel { corner: eye + corner, dx, dy, direction: forward },
             Projection::Perspective => Rays::Perspective { eye, corner: forward + corner, dx, dy },
         };
-        Self { width, height, rays, forward, clip: vec![], depth: None }
+        Self { width, height, rays, forward, clip: Clip::default(), depth: None }
     }
 
     fn from_matrices(view: &DMat4, projection: &DMat4, width: u32, height: u32) -> Result<Self, ViewError> {
@@ -266,7 +345,8 @@ impl View {
         }
         let clip_from_world = *projection * *view;
         let (z, w) = (clip_from_world.row(2), clip_from_world.row(3));
-        let clip = [w + z, w - z].map(|p| HalfSpace { normal: p.truncate(), offset: p.w }).to_vec();
+        let halves = [w + z, w - z].map(|p| HalfSpace { normal: p.truncate(), offset: p.w }).to_vec();
+        let clip = Clip { halves, balls: vec![] };
         Ok(Self { width, height, rays, forward, clip, depth: None })
     }
 
@@ -293,9 +373,10 @@ impl View {
         self.forward
     }
 
-    /// The same view of what lies in some half-spaces, besides those that it keeps to already.
-    pub fn clipped(mut self, halves: &[HalfSpace]) -> Self {
-        self.clip.extend_from_slice(halves);
+    /// The same view of what lies inside, besides what it keeps to already.
+    pub fn clipped(mut self, clip: &Clip) -> Self {
+        self.clip.halves.extend_from_slice(&clip.halves);
+        self.clip.balls.extend_from_slice(&clip.balls);
         self
     }
 
@@ -310,8 +391,8 @@ impl View {
         self.depth.as_ref()
     }
 
-    /// Half-spaces that what is seen must lie in.
-    pub fn clip(&self) -> &[HalfSpace] {
+    /// What is seen must lie inside.
+    pub fn clip(&self) -> &Clip {
         &self.clip
     }
 

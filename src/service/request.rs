@@ -20,9 +20,7 @@ use serde_json::Value;
 pub use crate::classify::InvalidField;
 use crate::classify::TransferFunction;
 use crate::encode::Format;
-use crate::render::{
-    Background, Camera, DepthCueing, HalfSpace, IntensityProjection, Preintegration, Quality, Shading,
-};
+use crate::render::{Background, Camera, Clip, DepthCueing, IntensityProjection, Preintegration, Quality, Shading};
 use fields::WindowFields;
 pub use options::{Kind, OPTIONS, RequestOption};
 pub use resolve::{ImageLimits, ResolvedRequest};
@@ -105,7 +103,7 @@ pub struct RenderRequest {
     preintegration: Preintegration,
     depth_cueing: Option<DepthCueing>,
     /// What is left, world mm.
-    clip: Vec<HalfSpace>,
+    clip: Clip,
     spelling: Spelling,
 }
 
@@ -242,7 +240,8 @@ mod tests {
             "blend": "composite", "algorithm": "auto", "quality": "standard", "early_ray_termination": 0.99,
             "min_opacity": 0.002, "sample_distance": 0.125, "depth_cueing": {"front": 1.0, "density": 1.0},
             "clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 1, 0]}, "keep": "outside"},
-                {"box": {"min": [-1, -1, -1], "max": [1, 1, 1]}}],
+                {"box": {"min": [-1, -1, -1], "max": [1, 1, 1]}}, {"sphere": {"center": [0, 0, 0], "radius": 2}},
+                {"box": {"min": [0, 0, 0], "max": [1, 1, 1], "pose": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]}}],
             "preintegration": {"table": "2d", "entries": 256, "lookup": "bilinear", "opacity_correction": "view",
                 "buffer": "slice", "samples_per_voxel": 1}
         }"##;
@@ -331,13 +330,19 @@ mod tests {
             (r#"{"blend": "maximum", "window": {"center": 40, "width": 0}}"#, "/window/width"),
             (r#"{"clip": {}}"#, "/clip"),
             (r#"{"clip": [{}]}"#, "/clip/0"),
-            (r#"{"clip": [{"sphere": {}}]}"#, "/clip/0/sphere"),
+            (r#"{"clip": [{"cone": {}}]}"#, "/clip/0/cone"),
+            (r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 0}}]}"#, "/clip/0/sphere/radius"),
+            (r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "keep": "outside"}]}"#, "/clip/0/keep"),
+            (
+                r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 1, 1], "pose": [2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}}]}"#,
+                "/clip/0/box/pose",
+            ),
             (r#"{"clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}}]}"#, "/clip/0/plane/normal"),
             (r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 0, 1]}}]}"#, "/clip/0/box/max/1"),
             (r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 1, 1]}, "keep": "outside"}]}"#, "/clip/0/keep"),
             (
                 r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 1, 1]}, "plane": {"point": [0, 0, 0], "normal": [0, 0, 1]}}]}"#,
-                "/clip/0/box",
+                "/clip/0",
             ),
             (r#"{"depth_cueing": {"front": -1}}"#, "/depth_cueing/front"),
             (r#"{"depth_cueing": {"fog": 1}}"#, "/depth_cueing/fog"),

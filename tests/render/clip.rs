@@ -2,7 +2,9 @@
 
 use glam::{DMat3, DVec3};
 use proptest::prelude::*;
-use shearwarp::render::{Algorithm, Camera, HalfSpace, Image, Orbit, Projection, Quality, Settings, Shading};
+use shearwarp::render::{
+    Algorithm, Ball, Camera, Clip, HalfSpace, Image, Orbit, Projection, Quality, Settings, Shading,
+};
 use shearwarp::volume::phantom;
 
 use crate::scenes::{Prepared, medium, plain, same_bits, transfer};
@@ -25,9 +27,14 @@ fn orbit(projection: Projection, n: u32) -> Camera {
     Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() })
 }
 
+/// All of what some planes leave.
+fn by(planes: &[HalfSpace]) -> Clip {
+    Clip { halves: planes.to_vec(), balls: vec![] }
+}
+
 /// A frame and the ray caster's, which is exact.
-fn frame_and_truth(scene: &Prepared, camera: &Camera, planes: &[HalfSpace], settings: &Settings) -> [Image; 2] {
-    let view = scene.view(camera, SIZE[0], SIZE[1]).clipped(planes);
+fn frame_and_truth(scene: &Prepared, camera: &Camera, clip: &Clip, settings: &Settings) -> [Image; 2] {
+    let view = scene.view(camera, SIZE[0], SIZE[1]).clipped(clip);
     let exact = Settings { algorithm: Algorithm::Raycast, sample_distance: 0.1, ..settings.clone() };
     [settings, &exact].map(|settings| scene.frame(&view, settings))
 }
@@ -64,7 +71,7 @@ fn a_cut_medium_is_as_deep_as_what_is_left_of_it() {
         for (n, plane) in (0..).zip(planes(&scene)) {
             let camera = orbit(projection, n);
             let off = |settings: &Settings, planes: &[HalfSpace], steps| {
-                beyond(&frame_and_truth(&scene, &camera, planes, settings), steps)
+                beyond(&frame_and_truth(&scene, &camera, &by(planes), settings), steps)
             };
             let cut = off(&high(), &[plane], 1);
             assert!(cut <= 1.0, "{projection:?} {n}, high: {cut} in a thousand differ by more than 1");
@@ -87,10 +94,31 @@ fn cut_silhouettes_lie_within_half_a_pixel() {
         for projection in [Projection::Parallel, Projection::Perspective] {
             for (n, plane) in (0..).zip(planes(&scene)) {
                 let camera = orbit(projection, n);
-                let off =
-                    |planes: &[HalfSpace]| beyond(&frame_and_truth(&scene, &camera, planes, &plain(algorithm)), 128);
+                let off = |planes: &[HalfSpace]| {
+                    beyond(&frame_and_truth(&scene, &camera, &by(planes), &plain(algorithm)), 128)
+                };
                 let (cut, whole) = (off(&[plane]), off(&[]));
                 assert!(cut <= whole + 8.0, "{algorithm:?} {projection:?} {n}: {cut} in a thousand against {whole}");
+            }
+        }
+    }
+}
+
+/// A ball of a uniform medium that is larger: its rim is all there is of outlines.
+#[test]
+fn a_ball_that_is_left_of_a_medium_is_as_deep_as_a_ball() {
+    let scene = cube();
+    let centre = scene.prepared.volume().centre();
+    let clip = Clip { halves: vec![], balls: vec![Ball::new(centre + DVec3::new(1.0, -2.0, 0.5), 15.0)] };
+    for projection in [Projection::Parallel, Projection::Perspective] {
+        for n in 0..8 {
+            let camera = orbit(projection, n);
+            let off = |settings: &Settings, steps| beyond(&frame_and_truth(&scene, &camera, &clip, settings), steps);
+            let high = off(&high(), 1);
+            assert!(high <= 1.0, "{projection:?} {n}: {high} in a thousand pixels of high differ by more than 1");
+            for algorithm in [Algorithm::Preintegrated, Algorithm::Classified] {
+                let off = off(&plain(algorithm), 6);
+                assert!(off <= 30.0, "{projection:?} {n}, {algorithm:?}: {off} in a thousand");
             }
         }
     }
@@ -104,7 +132,7 @@ fn a_part_and_what_was_cut_from_it_are_the_whole() {
         for settings in [high(), plain(Algorithm::Preintegrated), plain(Algorithm::Classified)] {
             let view = scene.view(&orbit(Projection::Parallel, n), SIZE[0], SIZE[1]);
             let clear = |planes: &[HalfSpace]| -> Vec<f64> {
-                let image = scene.frame(&view.clone().clipped(planes), &settings);
+                let image = scene.frame(&view.clone().clipped(&by(planes)), &settings);
                 alphas(&image).map(|alpha| 1.0 - f64::from(alpha) / 255.0).collect()
             };
             let (one, two, whole) = (clear(&[plane]), clear(&[other]), clear(&[]));
@@ -125,7 +153,7 @@ fn a_plane_that_misses_the_volume_changes_no_bit() {
             [high(), plain(Algorithm::Preintegrated), plain(Algorithm::Classified), plain(Algorithm::Raycast)]
         {
             let view = scene.view(&orbit(projection, 3), 60, 50);
-            assert!(scene.frame(&view, &settings) == scene.frame(&view.clone().clipped(&[far]), &settings));
+            assert!(scene.frame(&view, &settings) == scene.frame(&view.clone().clipped(&by(&[far])), &settings));
         }
     }
 }
@@ -153,8 +181,9 @@ proptest! {
             HalfSpace { normal, offset: -at(part) },
             HalfSpace { normal: -normal, offset: at(part + thickness) },
         ];
+        let ball = Ball::new(centre + normal * 2.0, radius * (0.5 + thickness));
         let projection = if perspective { Projection::Perspective } else { Projection::Parallel };
-        let view = scene.view(&orbit(projection, n), 40, 36).clipped(&planes);
+        let view = scene.view(&orbit(projection, n), 40, 36).clipped(&Clip { halves: planes.to_vec(), balls: vec![ball] });
         let algorithm = if slabs { Algorithm::Preintegrated } else { Algorithm::Classified };
         let settings = Settings { shading: lit.then(Shading::default), early_ray_termination: 0.98, ..plain(algorithm) };
         same_bits(&scene, &view, &settings);

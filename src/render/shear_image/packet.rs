@@ -7,10 +7,10 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use glam::{DMat4, DVec3};
+use glam::{DAffine3, DMat4, DVec3};
 
 use crate::render::depth::SceneDepth;
-use crate::render::view::{HalfSpace, Rays, View};
+use crate::render::view::{Clip, HalfSpace, Rays, View};
 use crate::volume::Volume;
 
 /// Pixels of a packet: the lanes of a 256-bit register.
@@ -42,8 +42,8 @@ pub struct IndexRays {
     dx: DVec3,
     dy: DVec3,
     world_from_index: DMat4,
-    /// What rays must stay within, besides the box of voxels: `normal . p + offset >= 0`.
-    clip: Vec<HalfSpace>,
+    /// What rays must stay within, besides the box of voxels.
+    clip: Clip,
     /// Opaque geometry that ends rays.
     scene: Option<Arc<SceneDepth>>,
     /// Depth 0..1 through the bounding sphere along the camera's axis: `normal . p + offset`.
@@ -101,7 +101,7 @@ impl IndexRays {
             dx: vector(dx),
             dy: vector(dy),
             world_from_index,
-            clip: view.clip().iter().map(in_index).collect(),
+            clip: view.clip().told_by(DAffine3::from_mat4(world_from_index)),
             scene: view.depth().cloned(),
             depth: in_index(&depth),
         }
@@ -213,10 +213,7 @@ impl IndexRays {
             span = cut(span, start[axis], step[axis]);
             span = cut(span, (self.dims[axis] - 1) as f64 - start[axis], -step[axis]);
         }
-        for half in &self.clip {
-            span = cut(span, half.normal.dot(start) + half.offset, half.normal.dot(step));
-        }
-        span
+        self.clip.span(start, step, span.into()).into()
     }
 }
 

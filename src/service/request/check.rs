@@ -4,7 +4,7 @@
 
 use std::ops::{Bound, RangeBounds, RangeInclusive};
 
-use glam::{DMat4, DVec3};
+use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 
 use super::fields::{
     Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, ImageFields, Keep, LightName,
@@ -14,8 +14,8 @@ use super::{AlgorithmChoice, InvalidField, RenderRequest, ShadingChoice, Spellin
 use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
 use crate::render::{
-    Background, Camera, DepthCueing, HalfSpace, IntensityProjection, Light, LookAt, Orbit, Preintegration, Projection,
-    Quality, Shading, SlabTable,
+    Background, Ball, Camera, Clip, DepthCueing, HalfSpace, IntensityProjection, Light, LookAt, Orbit, Preintegration,
+    Projection, Quality, Shading, SlabTable,
 };
 
 /// Degrees: beyond, a float's steps show as jumps of the camera.
@@ -45,6 +45,8 @@ const CUE_DENSITY: RangeInclusive<f64> = 0.0..=100.0;
 const ENTRIES: RangeInclusive<f64> = 2.0..=1024.0;
 /// Beyond, slabs are shorter than what 8-bit pixels tell apart.
 const SAMPLES_PER_VOXEL: RangeInclusive<f64> = 1.0..=8.0;
+/// Of a sphere, mm.
+const RADIUS: RangeInclusive<f64> = 1e-3..=1e9;
 /// Regions that cut something away; a box is six half-spaces.
 const MAX_CLIP: usize = 16;
 const DEFAULT_SIDE: u32 = 512;
@@ -332,26 +334,33 @@ impl Refusals {
         DepthCueing { front: fields.front.unwrap_or(1.0), density: fields.density.unwrap_or(1.0) }
     }
 
-    /// The half-spaces that are left.
-    fn clip(&mut self, regions: Vec<ClipFields>) -> Vec<HalfSpace> {
+    /// What is left.
+    fn clip(&mut self, regions: Vec<ClipFields>) -> Clip {
         if regions.len() > MAX_CLIP {
             self.refuse("/clip", format!("expected at most {MAX_CLIP} regions, got {}", regions.len()));
         }
-        let mut halves = vec![];
+        let mut clip = Clip::default();
         for (index, region) in regions.into_iter().enumerate() {
             let pointer = format!("/clip/{index}");
             let keep = region.keep.unwrap_or_default();
-            match (region.plane, region.r#box) {
-                (Some(plane), None) => halves.push(self.plane(&pointer, &plane, keep)),
-                (None, Some(_)) if keep == Keep::Outside => {
-                    self.refuse(format!("{pointer}/keep"), "the outside of a box is not supported by this version");
+            if keep == Keep::Outside && region.plane.is_none() {
+                self.refuse(
+                    format!("{pointer}/keep"),
+                    "the outside of what is no plane is not supported by this version",
+                );
+            }
+            match (region.plane, region.r#box, region.sphere) {
+                (Some(plane), None, None) => clip.halves.push(self.plane(&pointer, &plane, keep)),
+                (None, Some(region), None) => clip.halves.extend(self.sides(&pointer, &region)),
+                (None, None, Some(sphere)) => {
+                    let centre = self.vector(&format!("{pointer}/sphere/center"), sphere.center);
+                    self.range(format!("{pointer}/sphere/radius"), Some(sphere.radius), RADIUS);
+                    clip.balls.push(Ball::new(centre, sphere.radius));
                 }
-                (None, Some(region)) => halves.extend(self.sides(&pointer, &region)),
-                (None, None) => self.refuse(pointer, "expected a plane or a box"),
-                (Some(_), Some(_)) => self.refuse(format!("{pointer}/box"), "expected a plane or a box, got both"),
+                _ => self.refuse(pointer, "expected one of plane, box and sphere"),
             }
         }
-        halves
+        clip
     }
 
     fn plane(&mut self, pointer: &str, plane: &PlaneFields, keep: Keep) -> HalfSpace {
@@ -375,7 +384,18 @@ impl Refusals {
             let normal = DVec3::AXES[axis];
             [HalfSpace { normal, offset: -min[axis] }, HalfSpace { normal: -normal, offset: max[axis] }]
         };
-        (0..3).flat_map(side).collect()
+        let halves = (0..3).flat_map(side).collect();
+        let Some(pose) = region.pose else { return halves };
+        self.elements(&format!("{pointer}/box/pose"), &pose, &POSITION);
+        let world_from_box = DMat4::from_cols_array(&pose);
+        let turn = DMat3::from_mat4(world_from_box);
+        let turned = (turn * turn.transpose() - DMat3::IDENTITY).to_cols_array().iter().all(|e| e.abs() < 1e-4);
+        if !turned || (world_from_box.row(3) - DVec4::W).abs().max_element() > 1e-6 {
+            self.refuse(format!("{pointer}/box/pose"), "expected a rotation and a translation, column by column");
+            return vec![];
+        }
+        let box_from_world = DAffine3::from_mat3_translation(turn, world_from_box.w_axis.truncate()).inverse();
+        Clip { halves, balls: vec![] }.told_by(box_from_world).halves
     }
 
     fn preintegration(&mut self, quality: Quality, fields: Option<&PreintegrationFields>) -> Preintegration {

@@ -137,6 +137,7 @@ pub struct DepthCueingFields {
 pub struct ClipFields {
     pub plane: Option<PlaneFields>,
     pub r#box: Option<BoxFields>,
+    pub sphere: Option<SphereFields>,
     pub keep: Option<Keep>,
 }
 
@@ -153,6 +154,15 @@ pub struct PlaneFields {
 pub struct BoxFields {
     pub min: [f64; 3],
     pub max: [f64; 3],
+    /// From the box's coordinates to the world's, column by column; rigid.
+    pub pose: Option<[f64; 16]>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SphereFields {
+    pub center: [f64; 3],
+    pub radius: f64,
 }
 
 #[derive(Clone, Copy, Default, PartialEq, Eq, serde::Deserialize)]

@@ -345,6 +345,8 @@ mod tests {
             r#"{"clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 0, 1]}}]}"#,
             r#"{"clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 0, 1]}, "keep": "outside"}]}"#,
             r#"{"clip": [{"box": {"min": [-1, -1, -1], "max": [1, 1, 1]}}]}"#,
+            r#"{"clip": [{"box": {"min": [-1, -1, -1], "max": [1, 1, 1], "pose": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 9, 1]}}]}"#,
+            r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 3}}]}"#,
             r#"{"preintegration": {"entries": 100}}"#,
             r#"{"preintegration": {"lookup": "nearest"}}"#,
             r#"{"preintegration": {"table": "1d"}}"#,
