@@ -46,6 +46,7 @@ static FILES: LazyLock<Vec<File>> = LazyLock::new(|| {
         "js/camera.js",
         "js/controls.js",
         "js/cube.js",
+        "js/cut-panel.js",
         "js/dom.js",
         "js/frames.js",
         "js/input.js",

@@ -104,6 +104,7 @@ const RICH = {
   transfer: { points: [{ value: -1000, opacity: 0, color: '#000000' }, { value: 1e-7, opacity: 0.25, color: '#ff8800' }], opacity_distance: 0.5, gradient_opacity: [{ value: 10, opacity: 0 }, { value: 50, opacity: 1 }] },
   shading: { ...DEFAULT_SHADING, ambient: 0.3, lights: ['headlight', { direction: [0.5, -0.25, 0.125], intensity: 0.8 }] },
   blend: 'average', window: { center: 40, width: 400 }, depthCueing: { front: 1.2, density: 0.5 },
+  plane: { point: [1, -2.5, 0], normal: [0, 0.6, -0.8] }, box: { min: [-1, -2, -3], max: [1, 2, 3.5] },
   background: '#20242b', algorithm: 'raycast', quality: 'high',
 };
 
@@ -116,7 +117,7 @@ test('a link holds the whole state, and only what differs from the defaults', ()
 });
 
 test('half a link still shows the scan', () => {
-  for (const broken of ['zoom=', 'azimuth=x', 'target=1,2', 'tf=1:2', 'tf=;;:', 'shading=maybe', 'shading=1,2,3', 'window=,', 'blend=none', 'background=red', 'quality=best', 'depth=1', '%E0%A4'])
+  for (const broken of ['zoom=', 'azimuth=x', 'target=1,2', 'tf=1:2', 'tf=;;:', 'shading=maybe', 'shading=1,2,3', 'window=,', 'blend=none', 'background=red', 'plane=1,2,3', 'plane=1,2,3,0,0,0', 'box=0,0,0,1,1,0', 'quality=best', 'depth=1', '%E0%A4'])
     assert.deepEqual(fromHash(`#volume=head&${broken}`), { ...DEFAULTS, volume: 'head' }, broken);
 });
 
@@ -136,7 +137,7 @@ test('a zoom is about the shorter side of the picture', () => {
 
 test('a projection asks for nothing that it does not look at', () => {
   const request = renderRequest({ ...RICH, blend: 'maximum' }, { width: 8, height: 8 }, 'draft');
-  assert.deepEqual(Object.keys(request).sort(), ['algorithm', 'blend', 'camera', 'image', 'quality', 'window']);
+  assert.deepEqual(Object.keys(request).sort(), ['algorithm', 'blend', 'camera', 'clip', 'image', 'quality', 'window']);
 });
 
 test('a curl command survives quotes', () => {

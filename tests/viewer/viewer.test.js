@@ -281,6 +281,48 @@ test('projections, algorithms and light change the picture', async () => {
   await close();
 });
 
+test('a plane and a box cut the scan open, and a link keeps it so', async () => {
+  const { page, errors, stream, close } = await connected();
+  const whole = await picture(page);
+  await page.getByRole('tab', { name: 'Cut' }).click();
+  // Keys, and what they do live: drafts over the stream.
+  const depth = page.getByRole('slider', { name: 'Depth' });
+  await depth.focus();
+  for (let i = 0; i < 4; i++) await page.keyboard.press('PageUp');
+  await rested(page);
+  const open = await picture(page);
+  assert.notEqual(open.hash, whole.hash);
+  const { plane: facing } = stream.sent.findLast((message) => message.request).request.clip[0];
+  assert.ok(facing.normal[0] < -0.4 && facing.normal[1] > 0.8 && facing.normal[2] < -0.2, `away from the eye: ${facing.normal}`);
+  assert.ok(stream.sent.some((message) => message.request?.clip && message.request.quality === 'draft'), 'drafts while it moves');
+  await page.getByRole('button', { name: 'Front', exact: true }).click();
+  assert.equal(await page.getByRole('button', { name: 'Front', exact: true }).getAttribute('aria-pressed'), 'true');
+  const top = page.getByLabel('Top', { exact: true }).and(page.getByRole('slider'));
+  await top.fill('0.3');
+  await rested(page);
+  const both = await picture(page);
+  assert.notEqual(both.hash, open.hash);
+  const { clip } = stream.sent.findLast((message) => message.request).request;
+  assert.deepEqual(clip[0].plane.normal, [0, 1, 0]);
+  assert.ok(clip[1].box.max[2] > clip[1].box.min[2]);
+  await linked(page, 'box', (box) => box === [...clip[1].box.min, ...clip[1].box.max].join(','));
+  await linked(page, 'plane', (plane) => plane === [...clip[0].plane.point, 0, 1, 0].join(','));
+  const other = await arrived(new URL(page.url()).hash);
+  assert.equal((await picture(other.page)).hash, both.hash);
+  await other.page.getByRole('tab', { name: 'Cut' }).click();
+  assert.equal(await other.page.getByRole('slider', { name: 'Depth' }).inputValue(), await depth.inputValue());
+  await other.close();
+  // Whatever is asked for, something is left.
+  await page.getByLabel('Bottom', { exact: true }).and(page.getByRole('slider')).fill('1');
+  await rested(page);
+  await page.getByRole('button', { name: 'Make it whole' }).click();
+  await rested(page);
+  assert.equal((await picture(page)).hash, whole.hash);
+  await linked(page, 'plane', (plane) => plane === null);
+  assert.deepEqual(errors, []);
+  await close();
+});
+
 test('the lists are those of the service', async () => {
   const { page, close } = await arrived();
   const contract = await (await fetch(`${service.address}/openapi.yaml`)).text();
@@ -633,7 +675,7 @@ test('a turntable is saved as an animated picture, and can be given up', async (
 
 test('a phone held upright has room for everything, and fingers turn and enlarge', async () => {
   const { page, errors, close } = await arrived(CALM, { viewport: { width: 360, height: 740 }, hasTouch: true, isMobile: true });
-  for (const name of ['Scan', 'Look', 'Light', 'View']) {
+  for (const name of ['Scan', 'Look', 'Light', 'Cut', 'View']) {
     await page.getByRole('tab', { name }).click();
     const { inner, outer } = await page.evaluate(() => ({ inner: document.documentElement.scrollWidth, outer: innerWidth }));
     assert.ok(inner <= outer && outer === 360, `${name}: ${inner} in ${outer}`);
@@ -663,7 +705,7 @@ test('nothing that assistive technology needs is missing, in light and in dark',
   for (const colorScheme of /** @type {const} */ (['light', 'dark'])) {
     const { page, close } = await arrived(CALM, { colorScheme, reducedMotion: 'reduce' });
     await page.locator('.transfer-plot .point').first().waitFor();
-    for (const name of ['Scan', 'Look', 'Light', 'View']) {
+    for (const name of ['Scan', 'Look', 'Light', 'Cut', 'View']) {
       await page.getByRole('tab', { name }).click();
       await page.evaluate(axe);
       const found = await page.evaluate(async () => {

@@ -7,8 +7,8 @@
  */
 import { add, cross, dot, length, normalized, scale, subtract, turned } from './vector.js';
 
-/** @typedef {import('./vector.js').Vector} Vector */
-/** @typedef {import('./state.js').Camera} Camera */
+/** @import {Vector} from './vector.js' */
+/** @import {Camera} from './state.js' */
 /** @typedef {{right: Vector, up: Vector, back: Vector}} Axes `back` points from the target to the camera */
 /** @typedef {{centre: Vector, radius: number}} Sphere the scan's bounding sphere, mm */
 /** @typedef {[number, number, number, number, number, number]} Affine as `CanvasRenderingContext2D.setTransform` takes it */
@@ -158,6 +158,16 @@ export function boundingSphere({ dimensions, spacing, origin, direction }) {
   const row = (/** @type {number} */ r) =>
     origin[r] + half.reduce((sum, mm, column) => sum + direction[3 * r + column] * mm, 0);
   return { centre: [row(0), row(1), row(2)], radius: Math.hypot(...half) };
+}
+
+/**
+ * Where that box begins along a direction, and how long it is there, mm for one of length 1.
+ * @param {Parameters<typeof boundingSphere>[0]} volume @param {Vector} along
+ */
+export function span(volume, along) {
+  const size = volume.dimensions.reduce((sum, n, column) =>
+    sum + Math.abs(along.reduce((part, a, r) => part + a * volume.direction[3 * r + column], 0) * (n - 1) * volume.spacing[column]), 0);
+  return [dot(along, boundingSphere(volume).centre) - size / 2, size];
 }
 
 /** In words, for those who do not see the picture. @param {Camera} camera */

@@ -8,7 +8,7 @@ import { el, svg } from './dom.js';
 import { ANATOMICAL, axes } from './camera.js';
 import { dot } from './vector.js';
 
-/** @typedef {import('./vector.js').Vector} Vector */
+/** @import {Vector} from './vector.js' */
 /** @typedef {keyof typeof ANATOMICAL} Name */
 
 /** Outward direction, and the directions in which a face's letter runs and stands. @type {[Name, Vector, Vector, Vector][]} */

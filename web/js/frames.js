@@ -12,10 +12,10 @@
  */
 import { Problem } from './api.js';
 
-/** @typedef {import('./state.js').State} State */
+/** @import {State} from './state.js' */
+/** @import {FrameAnswer} from './api.js' */
 /** @typedef {'draft' | 'standard' | 'high'} Stage */
 /** @typedef {{width: number, height: number}} Size */
-/** @typedef {import('./api.js').FrameAnswer} FrameAnswer */
 /** @typedef {(state: State, size: Size, stage: Stage, signal: AbortSignal) => Promise<FrameAnswer | null>} Source `null`: passed over for a newer one */
 /** @typedef {FrameAnswer & {bitmap: ImageBitmap, state: State, size: Size, stage: Stage, latency: number}} Frame */
 /** @typedef {{version: number, stage: Stage, abort: AbortController, started: number}} Flight */

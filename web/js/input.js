@@ -9,7 +9,7 @@ import { DEFAULT_CAMERA } from './state.js';
 
 /** @typedef {'orbit' | 'pan' | 'zoom' | 'roll' | 'window'} Tool */
 /** @typedef {[number, number]} Point picture coordinates: the shorter side is -1..1, y up */
-/** @typedef {import('./camera.js').Sphere} Sphere */
+/** @import {Sphere} from './camera.js' */
 
 /** Degrees by which an arrow key turns. */
 const STEP = 5;

@@ -10,9 +10,8 @@ import { el, iconButton, svg } from './dom.js';
 import { rounded } from './request.js';
 import { add, dot, normalized, scale } from './vector.js';
 
-/** @typedef {import('./state.js').Lamp} Lamp */
+/** @import {Lamp, Camera} from './state.js' */
 /** @typedef {import('./state.js').Shading['lights']} Lights */
-/** @typedef {import('./state.js').Camera} Camera */
 
 /** More lamps than these confuse more than they show. */
 const MOST = 4;

@@ -4,8 +4,7 @@ import { section, slider, toggle } from './controls.js';
 import { DEFAULT_SHADING } from './state.js';
 import { Lamps } from './lamps.js';
 
-/** @typedef {import('./state.js').State} State */
-/** @typedef {import('./state.js').Shading} Shading */
+/** @import {Shading} from './state.js' */
 
 const COEFFICIENTS = /** @type {const} */ ([
   ['ambient', 'Ambient', 1], ['diffuse', 'Diffuse', 1.5], ['specular', 'Highlights', 1], ['shininess', 'Sharpness of highlights', 100],
@@ -78,6 +77,7 @@ export class LightPanel {
     const { store } = this;
     const swatches = BACKGROUNDS.map(([value, label]) =>
       el('button', { type: 'button', class: 'swatch', 'aria-label': label, title: label, 'data-color': value, onclick: () => store.set({ background: value }) }));
+    for (const swatch of swatches) swatch.style.backgroundColor = String(swatch.dataset.color);
     const own = el('input', {
       type: 'color', 'aria-label': 'Another colour', title: 'Another colour',
       oninput: () => store.set({ background: own.value }, true), onchange: () => store.set({ background: own.value }),

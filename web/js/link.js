@@ -8,11 +8,8 @@
 import { DEFAULTS, DEFAULT_CAMERA, DEFAULT_SHADING } from './state.js';
 import { tidy } from './request.js';
 
-/** @typedef {import('./state.js').State} State */
-/** @typedef {import('./state.js').Camera} Camera */
-/** @typedef {import('./state.js').Shading} Shading */
-/** @typedef {import('./state.js').TransferFunction} TransferFunction */
-/** @typedef {import('./vector.js').Vector} Vector */
+/** @import {State, Camera, Shading, TransferFunction} from './state.js' */
+/** @import {Vector} from './vector.js' */
 
 const CAMERA_NUMBERS = /** @type {const} */ (['azimuth', 'elevation', 'roll', 'zoom', 'fov_y']);
 /** @type {State['quality'][]} */
@@ -37,6 +34,8 @@ export function toHash(state) {
   if (state.blend !== DEFAULTS.blend) pairs.push(['blend', state.blend]);
   if (state.window) pairs.push(['window', `${state.window.center},${state.window.width}`]);
   if (state.depthCueing) pairs.push(['depth', `${state.depthCueing.front},${state.depthCueing.density}`]);
+  if (state.plane) pairs.push(['plane', [...state.plane.point, ...state.plane.normal].join(',')]);
+  if (state.box) pairs.push(['box', [...state.box.min, ...state.box.max].join(',')]);
   if (state.background !== DEFAULTS.background) pairs.push(['background', state.background.replace('#', '')]);
   if (state.algorithm !== DEFAULTS.algorithm) pairs.push(['algorithm', state.algorithm]);
   if (state.quality !== DEFAULTS.quality) pairs.push(['quality', state.quality]);
@@ -56,6 +55,7 @@ export function fromHash(hash) {
   camera.target = /** @type {Vector | null} */ (numbers(text('target'), 3));
   const [window, depth] = [numbers(text('window'), 2), numbers(text('depth'), 2)];
   const background = text('background');
+  const [[point, normal], [min, max]] = [vectors(text('plane')), vectors(text('box'))];
   return {
     volume: text('volume'),
     camera,
@@ -64,6 +64,8 @@ export function fromHash(hash) {
     blend: one(text('blend'), BLENDS) ?? DEFAULTS.blend,
     window: window && { center: window[0], width: window[1] },
     depthCueing: depth && { front: depth[0], density: depth[1] },
+    plane: normal?.some(Boolean) ? { point, normal } : null,
+    box: max?.every((mm, axis) => mm > min[axis]) ? { min, max } : null,
     background: background === 'transparent' ? background : COLOR.test(background) ? `#${background}` : DEFAULTS.background,
     algorithm: one(text('algorithm'), ALGORITHMS) ?? DEFAULTS.algorithm,
     quality: one(text('quality'), QUALITIES) ?? DEFAULTS.quality,
@@ -83,6 +85,12 @@ function number(text) {
 function numbers(text, count) {
   const values = text.split(',').map(number);
   return values.length === count && values.every((value) => value !== null) ? /** @type {number[]} */ (values) : null;
+}
+
+/** Two, or none. @param {string} text */
+function vectors(text) {
+  const six = numbers(text, 6) ?? [];
+  return /** @type {Vector[]} */ (six.length ? [six.slice(0, 3), six.slice(3)] : []);
 }
 
 /** `value:opacity:rrggbb` for each point, then `d` and `g` where they are told. @param {TransferFunction} transfer */

@@ -3,8 +3,8 @@ import { el, iconButton } from './dom.js';
 import { numberField, section, slider } from './controls.js';
 import { short, withChanged } from './transfer.js';
 
-/** @typedef {import('./look.js').Look} Look */
-/** @typedef {import('./transfer-editor.js').TransferEditor} TransferEditor */
+/** @import {Look} from './look.js' */
+/** @import {TransferEditor} from './transfer-editor.js' */
 
 /** Times the preset's density, at most and at least. */
 const DENSITY = 30;

@@ -7,9 +7,8 @@
 import { fitted } from './api.js';
 import { short, windowOf, windowed } from './transfer.js';
 
-/** @typedef {import('./state.js').State} State */
-/** @typedef {import('./state.js').TransferFunction} TransferFunction */
-/** @typedef {import('./api.js').ReadyVolume} ReadyVolume */
+/** @import {State, TransferFunction} from './state.js' */
+/** @import {ReadyVolume} from './api.js' */
 /** @typedef {Pick<State, 'transfer' | 'shading'>} Past */
 
 /** Steps that can be undone. */

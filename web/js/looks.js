@@ -9,10 +9,8 @@
  */
 import { short } from './transfer.js';
 
-/** @typedef {import('./api.js').Preset} Preset */
-/** @typedef {import('./api.js').ReadyVolume} ReadyVolume */
-/** @typedef {import('./api.js').Fitted} Fitted */
-/** @typedef {import('./state.js').TransferFunction} TransferFunction */
+/** @import {Preset, ReadyVolume, Fitted} from './api.js' */
+/** @import {TransferFunction} from './state.js' */
 /** @typedef {{name: string, title: string, description: string, transfer: null | string | TransferFunction, shading: boolean | null}} Offer `shading` as for the state */
 
 /** What the service calls a look that is none of the presets. */

@@ -4,6 +4,7 @@
 import { Problem, fitted, frame, histogram, listPresets, listVolumes } from './api.js';
 import { ANATOMICAL, between, boundingSphere, described } from './camera.js';
 import { Cube } from './cube.js';
+import { CutPanel } from './cut-panel.js';
 import { byId, takeIcons } from './dom.js';
 import { Frames } from './frames.js';
 import { Input } from './input.js';
@@ -26,8 +27,7 @@ import { TransferEditor } from './transfer-editor.js';
 import { View } from './view.js';
 import { ViewPanel } from './view-panel.js';
 
-/** @typedef {import('./api.js').Volume} Volume */
-/** @typedef {import('./api.js').ReadyVolume} ReadyVolume */
+/** @import {Volume, ReadyVolume} from './api.js' */
 
 /** Milliseconds from the last change until the address has it. */
 const LINK_PAUSE = 250;
@@ -62,6 +62,7 @@ const presets = new PresetList(store, thumbnails);
 const timings = new Timings();
 const input = new Input(byId('view'), store, sphere, look, lookFrom);
 const scans = new ScanPanel(store, thumbnails, open);
+const cut = new CutPanel(store, volume);
 const share = new Share(store, () => view.size(), messages, /** @type {HTMLDialogElement} */ (byId('dialog')));
 
 frames.onFrame.push((shown) => view.show(shown), (shown) => timings.add(shown), (shown) => {
@@ -77,6 +78,7 @@ const openTab = tabs(byId('tabs'), byId('panels'), [
   { name: 'scan', label: 'Scan', content: scans.element },
   { name: 'look', label: 'Look', content: new LookPanel(store, look, editor, presets.element).element },
   { name: 'light', label: 'Light', content: new LightPanel(store, look).element },
+  { name: 'cut', label: 'Cut', content: cut.element },
   { name: 'view', label: 'View', content: new ViewPanel(store, input, look).element },
 ], () => thumbnails.wake());
 themes(byId('theme'));
@@ -111,7 +113,7 @@ store.subscribe((state, before, moving) => {
   linking = setTimeout(() => {
     written = toHash(state);
     history.replaceState(null, '', written);
-    byId('view').setAttribute('aria-label', `${volume()?.name ?? 'The scan'}, ${described(state.camera)}`);
+    byId('view').setAttribute('aria-label', `${volume()?.name ?? 'The scan'}, ${described(state.camera)}${state.plane || state.box ? ', cut open' : ''}`);
   }, LINK_PAUSE);
   byId('view').classList.toggle('checkered', state.background === 'transparent');
 });
@@ -127,7 +129,7 @@ function open(id) {
   if (id === store.state.volume) return;
   const { projection, fov_y, azimuth, elevation, roll } = store.state.camera;
   const camera = { ...DEFAULT_CAMERA, projection, fov_y, azimuth, elevation, roll };
-  store.set({ volume: id, camera, transfer: null, shading: null, window: null });
+  store.set({ volume: id, camera, transfer: null, shading: null, window: null, plane: null, box: null });
   const window = look.firstWindow(store.state.blend);
   if (window) store.set({ window });
   enter();
@@ -147,6 +149,7 @@ async function enter() {
   if (!ready || ready.id === entered) return;
   entered = ready.id;
   look.refresh();
+  cut.show();
   editor.setHistogram(null);
   const own = ready.default_preset === AUTOMATIC ? fitted(ready.id, null) : null;
   const [automatic, counted] = await Promise.all([own?.catch(() => null) ?? null, histogram(ready.id).catch(() => null)]);

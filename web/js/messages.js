@@ -5,7 +5,7 @@
  */
 import { el, icon } from './dom.js';
 
-/** @typedef {import('./api.js').Problem} Problem */
+/** @import {Problem} from './api.js' */
 
 const TITLES = {
   busy: 'The service is busy',

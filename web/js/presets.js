@@ -4,9 +4,8 @@ import { writeTransfer } from './link.js';
 import { looksFor } from './looks.js';
 import { emptyImage } from './thumbnails.js';
 
-/** @typedef {import('./api.js').Preset} Preset */
-/** @typedef {import('./api.js').ReadyVolume} ReadyVolume */
-/** @typedef {import('./looks.js').Offer} Offer */
+/** @import {Preset, ReadyVolume} from './api.js' */
+/** @import {Offer} from './looks.js' */
 
 /** A look as its link says it. @param {Offer['transfer']} transfer */
 const written = (transfer) => (transfer === null || typeof transfer === 'string' ? transfer : writeTransfer(transfer));

@@ -6,8 +6,7 @@
  */
 import { wrapped } from './camera.js';
 
-/** @typedef {import('./state.js').State} State */
-/** @typedef {import('./state.js').Camera} Camera */
+/** @import {State, Camera} from './state.js' */
 /** @typedef {{width: number, height: number}} Size pixels */
 
 /** @param {number} value @param {number} digits after the point */
@@ -46,7 +45,9 @@ function orbit(camera, size) {
  * @param {State} state @param {Size} size @param {'draft' | 'standard' | 'high'} quality
  */
 export function renderRequest(state, size, quality) {
+  const { plane, box } = state;
   const projects = state.blend !== 'composite';
+  const clip = [plane && { plane }, box && { box }].filter(Boolean);
   return {
     camera: orbit(state.camera, size),
     image: { width: size.width, height: size.height, format: 'png', background: state.background },
@@ -54,6 +55,7 @@ export function renderRequest(state, size, quality) {
     ...(state.shading === null || projects ? {} : { shading: state.shading }),
     ...(projects ? { blend: state.blend, ...(state.window ? { window: state.window } : {}) } : {}),
     ...(state.depthCueing && !projects ? { depth_cueing: state.depthCueing } : {}),
+    ...(clip.length ? { clip } : {}),
     ...(state.algorithm === 'auto' ? {} : { algorithm: state.algorithm }),
     quality,
   };

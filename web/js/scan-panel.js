@@ -3,7 +3,7 @@ import { el } from './dom.js';
 import { section } from './controls.js';
 import { emptyImage } from './thumbnails.js';
 
-/** @typedef {import('./api.js').Volume} Volume */
+/** @import {Volume} from './api.js' */
 
 export class ScanPanel {
   /**

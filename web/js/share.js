@@ -7,7 +7,7 @@ import { toHash } from './link.js';
 import { curlCommand, renderRequest } from './request.js';
 import { turntable } from './turntable.js';
 
-/** @typedef {import('./request.js').Size} Size */
+/** @import {Size} from './request.js' */
 /** @typedef {'standard' | 'high'} Quality */
 /** @typedef {Size & {transparent: boolean, quality: Quality, what: 'picture' | 'turntable', frames: number, seconds: number}} Wanted */
 

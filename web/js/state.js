@@ -6,7 +6,7 @@
  * What a default stands for is not written into the state: `transfer: null` is the scan's own look.
  */
 
-/** @typedef {import('./vector.js').Vector} Vector */
+/** @import {Vector} from './vector.js' */
 /** @typedef {{value: number, opacity: number, color: string}} ControlPoint */
 /** @typedef {{value: number, opacity: number}} GradientPoint */
 
@@ -40,6 +40,8 @@
  */
 
 /** @typedef {{center: number, width: number}} Window */
+/** @typedef {{point: Vector, normal: Vector}} Plane what lies where the normal points to is kept */
+/** @typedef {{min: Vector, max: Vector}} Box */
 /** @typedef {'composite' | 'maximum' | 'minimum' | 'average'} Blend */
 /** @typedef {'auto' | 'classified' | 'fast-classification' | 'preintegrated' | 'raycast'} Algorithm */
 /** @typedef {'auto' | 'draft' | 'standard' | 'high'} Quality */
@@ -53,6 +55,8 @@
  * @property {Blend} blend
  * @property {Window | null} window of projections; `null`: the scan's range
  * @property {{front: number, density: number} | null} depthCueing
+ * @property {Plane | null} plane that cuts the scan, world mm
+ * @property {Box | null} box outside of which nothing is shown
  * @property {string} background `#rrggbb` or `transparent`
  * @property {Algorithm} algorithm
  * @property {Quality} quality of the picture at rest
@@ -75,6 +79,8 @@ export const DEFAULTS = {
   blend: 'composite',
   window: null,
   depthCueing: null,
+  plane: null,
+  box: null,
   background: '#000000',
   algorithm: 'auto',
   quality: 'auto',

@@ -11,8 +11,8 @@
 import { problemIn } from './api.js';
 import { renderRequest } from './request.js';
 
-/** @typedef {import('./frames.js').Source} Source */
-/** @typedef {import('./api.js').FrameAnswer} FrameAnswer */
+/** @import {Source} from './frames.js' */
+/** @import {FrameAnswer} from './api.js' */
 /**
  * @typedef {object} Waiter for the frame of a request
  * @property {number} first number of its message, as the service counts

@@ -11,7 +11,7 @@ const CAMERA = { azimuth: 30, elevation: 15, zoom: 1.4 };
 /** Milliseconds between two looks at whether the picture rests. */
 const PAUSE = 150;
 
-/** @typedef {import('./state.js').State} State */
+/** @import {State} from './state.js' */
 /** @typedef {{id: string, transfer: State['transfer'], shading: State['shading'], image: HTMLImageElement}} Wish */
 
 export class Thumbnails {

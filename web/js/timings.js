@@ -6,7 +6,7 @@
  */
 import { el, icon } from './dom.js';
 
-/** @typedef {import('./frames.js').Frame} Frame */
+/** @import {Frame} from './frames.js' */
 
 /** From the bottom of a bar to its top; `way` is what the service's own total leaves of the latency. */
 const STAGES = ['queue', 'prepare', 'shade', 'composite', 'warp', 'encode', 'way'];

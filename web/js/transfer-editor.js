@@ -9,9 +9,9 @@ import { el } from './dom.js';
 import { heightOf, opacityOf, sampled, short, withChanged, withPoint, withoutPoint } from './transfer.js';
 import { TransferPlot } from './transfer-plot.js';
 
-/** @typedef {import('./state.js').ControlPoint} ControlPoint */
-/** @typedef {import('./api.js').Histogram} Histogram */
-/** @typedef {import('./look.js').Look} Look */
+/** @import {ControlPoint} from './state.js' */
+/** @import {Histogram} from './api.js' */
+/** @import {Look} from './look.js' */
 /** @typedef {[number, number]} Range */
 
 /** Pixels that a click may move before it is a drag. */

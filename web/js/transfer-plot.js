@@ -7,8 +7,8 @@
 import { svg } from './dom.js';
 import { heightOf, opacityOf, sampled, ticks } from './transfer.js';
 
-/** @typedef {import('./state.js').ControlPoint} ControlPoint */
-/** @typedef {import('./api.js').Histogram} Histogram */
+/** @import {ControlPoint} from './state.js' */
+/** @import {Histogram} from './api.js' */
 /** @typedef {[number, number]} Range */
 
 /** Pixels around and below the plot. */

@@ -1,8 +1,6 @@
 /** @file Transfer functions as data: what they give at a value, and how points and windows change them. */
 
-/** @typedef {import('./state.js').TransferFunction} TransferFunction */
-/** @typedef {import('./state.js').ControlPoint} ControlPoint */
-/** @typedef {import('./state.js').Window} Window */
+/** @import {TransferFunction, ControlPoint, Window} from './state.js' */
 /** @typedef {[number, number]} Range */
 
 /**

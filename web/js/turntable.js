@@ -7,8 +7,8 @@
 import { Problem, frame } from './api.js';
 import { renderRequest } from './request.js';
 
-/** @typedef {import('./state.js').State} State */
-/** @typedef {import('./request.js').Size} Size */
+/** @import {State} from './state.js' */
+/** @import {Size} from './request.js' */
 /** @typedef {{name: string, data: Uint8Array}} Chunk */
 
 /** Bytes before the first chunk; and of a chunk what is no data: length, name, checksum. */

@@ -5,8 +5,7 @@ import { rendersHigh } from './frames.js';
 import { keep, kept } from './page.js';
 import { tidy } from './request.js';
 
-/** @typedef {import('./state.js').State} State */
-/** @typedef {import('./state.js').Camera} Camera */
+/** @import {State, Camera} from './state.js' */
 
 const QUALITY_HINTS = {
   auto: 'Standard at rest, then high where that is fast.',

@@ -8,7 +8,7 @@
  */
 import { carried } from './camera.js';
 
-/** @typedef {import('./frames.js').Frame} Frame */
+/** @import {Frame} from './frames.js' */
 
 /** Pixels of a full frame at most: beyond, a screen's finest pixels cost more than they show. */
 const MOST_PIXELS = 2_000_000;

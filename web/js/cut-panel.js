@@ -1,0 +1,107 @@
+/**
+ * @file The panel of cuts: a plane whose depth is one slider, and a box.
+ *
+ * A slider away from its start cuts. Numbers are rounded here: links and requests have the same.
+ */
+import { axes, boundingSphere, span } from './camera.js';
+import { section, slider } from './controls.js';
+import { el } from './dom.js';
+import { rounded } from './request.js';
+import { add, dot, scale } from './vector.js';
+
+/** @import {Vector} from './vector.js' */
+
+/** Two for each axis, the one towards its negative end first. */
+const SIDES = ['Right', 'Left', 'Front', 'Back', 'Bottom', 'Top'];
+
+/** Into the scan from the side with this number. @param {number} side */
+const inward = (side) => /** @type {Vector} */ ([0, 1, 2].map((axis) => (axis === side >> 1 ? 1 - 2 * (side % 2) : 0)));
+
+/** @param {Vector} v */
+const short = (v) => /** @type {Vector} */ (v.map((n) => rounded(n, 4)));
+
+export class CutPanel {
+  /** Where the plane cut last; `null`: from the camera, wherever that is. @type {Vector | null} */ #normal = null;
+
+  /** @param {import('./state.js').Store} store @param {() => import('./api.js').ReadyVolume | null} volume */
+  constructor(store, volume) {
+    this.store = store;
+    this.volume = volume;
+    const ruler = (/** @type {string} */ label, /** @type {() => Vector} */ normal, /** @type {(part: number, moving: boolean) => void} */ change) =>
+      slider(label, { min: 0, max: 1, step: 0.005, change, text: (part) => `${Number((part * this.#span(normal())[1]).toPrecision(3))} mm` });
+    this.depth = ruler('Depth', () => this.#direction, (part, moving) => this.#cut(this.#direction, part, moving));
+    const from = (/** @type {string} */ label, /** @type {() => Vector} */ normal) =>
+      el('button', { type: 'button', class: 'quiet', onclick: () => this.#cut(normal(), this.#part || 0.5) }, label);
+    const here = from('From here', () => this.#facing);
+    this.sides = SIDES.map((label, side) => from(label, () => inward(side)));
+    this.box = SIDES.map((label, side) => ruler(label, () => inward(side), (part, moving) => this.#trim(side, part, moving)));
+    this.element = el('div', {},
+      section('Cut it open', this.depth.element, el('div', { class: 'from', role: 'group', 'aria-label': 'Cut from' }, here, ...this.sides),
+        el('p', { class: 'hint' }, 'Left and right are the patient’s.')),
+      section('Box', el('div', { class: 'pair box', role: 'group', 'aria-label': 'Take away from' }, ...this.box.map(({ element }) => element)),
+        el('p', {}, el('button', { type: 'button', class: 'quiet', onclick: () => {
+          this.#normal = null;
+          store.set({ plane: null, box: null });
+        } }, 'Make it whole'))));
+    store.subscribe(() => this.show());
+  }
+
+  /** Away from the eye. */
+  get #facing() {
+    return short(scale(axes(this.store.state.camera).back, -1));
+  }
+
+  get #direction() {
+    return this.#normal ?? this.#facing;
+  }
+
+  /** See {@link span}. @param {Vector} normal */
+  #span(normal) {
+    const volume = this.volume();
+    return volume ? span(volume, normal) : [0, 0];
+  }
+
+  /** Of the way through the scan, that of the plane. */
+  get #part() {
+    const { plane } = this.store.state;
+    if (!plane) return 0;
+    const [start, size] = this.#span(plane.normal);
+    return (dot(plane.normal, plane.point) - start) / size;
+  }
+
+  /** @param {Vector} normal @param {number} part @param {boolean} [moving] */
+  #cut(normal, part, moving) {
+    const volume = this.volume();
+    if (!volume) return;
+    this.#normal = normal;
+    const { centre } = boundingSphere(volume);
+    const [start, size] = span(volume, normal);
+    const point = short(add(centre, scale(normal, (start + part * size - dot(normal, centre)) / dot(normal, normal))));
+    this.store.set({ plane: part > 0 ? { point, normal } : null }, moving);
+  }
+
+  /** @param {number} side @param {number} part @param {boolean} moving */
+  #trim(side, part, moving) {
+    const start = (/** @type {number} */ at) => inward(at)[at >> 1] * this.#span(inward(at))[0];
+    const whole = { min: short([start(0), start(2), start(4)]), max: short([start(1), start(3), start(5)]) };
+    const box = structuredClone(this.store.state.box ?? whole);
+    const [axis, end, other] = /** @type {const} */ ([side >> 1, side % 2 ? 'max' : 'min', side % 2 ? 'min' : 'max']);
+    const size = whole[other][axis] - whole[end][axis];
+    // Something is left.
+    const most = (box[other][axis] - whole[end][axis]) / size - 0.02;
+    box[end][axis] = rounded(whole[end][axis] + Math.min(part, most) * size, 4);
+    this.store.set({ box: JSON.stringify(box) === JSON.stringify(whole) ? null : box }, moving);
+  }
+
+  show() {
+    const { plane, box } = this.store.state;
+    if (plane) this.#normal = plane.normal;
+    this.depth.show(this.#part);
+    this.sides.forEach((button, side) => button.setAttribute('aria-pressed', String(plane !== null && String(plane.normal) === String(inward(side)))));
+    this.box.forEach((control, side) => {
+      const normal = inward(side);
+      const [start, size] = this.#span(normal);
+      control.show(box ? (dot(normal, side % 2 ? box.max : box.min) - start) / size : 0);
+    });
+  }
+}
