@@ -146,10 +146,10 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             }
             rows.enter(self.source, j, &upper, lower.as_ref());
             let mut scanline = band.scanline(row);
-            self.find(spans, rows, &scanline, &placement, [v, k]);
+            let mut whole = self.find(spans, rows, &scanline, &placement, [v, k]);
             if V::CLASSIFIES && !spans.is_empty() {
                 rows.classify(self.source, &upper, lower.as_ref(), spans);
-                self.find(spans, rows, &scanline, &placement, [v, k]);
+                whole = self.find(spans, rows, &scanline, &placement, [v, k]);
             }
             if spans.is_empty() {
                 continue;
@@ -159,12 +159,13 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             }
             rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
             let cue = cue.map(|cue| cue.scanline(v));
-            let at = Place { v, k, first_u: placement.first[0], cue };
+            let at = Place { v, k, first_u: placement.first[0], cue, whole };
             self.blend(&mut scanline, &at, rows, spans, &weights);
         }
     }
 
-    /// Finds the pixels that touch a marked voxel, are not opaque and not clipped away.
+    /// Finds the pixels that touch a marked voxel, are not opaque and not clipped away. Gives those, among others, of which
+    /// clipping leaves all of the slice.
     #[inline(always)]
     fn find(
         &self,
@@ -173,11 +174,14 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
         scanline: &ScanlineMut<'_>,
         placement: &SlicePlacement,
         [v, k]: [usize; 2],
-    ) {
+    ) -> Range<usize> {
         spans.find(rows, scanline, placement.first[0], placement.fraction[0] > 0.0);
-        if self.factorization.is_clipped() {
-            let [some, _] = self.factorization.clipped_pixels(v, self.factorization.interval(k));
+        if self.factorization.is_clipped() && !spans.is_empty() {
+            let [some, whole] = self.factorization.clipped_pixels(v, self.factorization.interval(k));
             spans.clip(some, placement.first[0]);
+            whole
+        } else {
+            0..usize::MAX
         }
     }
 
@@ -186,17 +190,11 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
-        &Place { v, k, first_u, cue }: &Place<'_>,
+        &Place { v, k, first_u, cue, ref whole }: &Place<'_>,
         rows: &RowBuffers,
         spans: &Spans,
         weights: &Weights,
     ) {
-        let clipped = self.factorization.is_clipped();
-        let whole = if clipped {
-            self.factorization.clipped_pixels(v, self.factorization.interval(k))[1].clone()
-        } else {
-            0..usize::MAX
-        };
         for (word, &bits) in spans.pixels().iter().enumerate() {
             let mut bits = bits;
             while bits != 0 {
@@ -208,7 +206,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 let pixels = &mut scanline.pixels[u..u + length];
                 let opaque = match (rows.has_lower(), cue) {
                     _ if u < whole.start || u + length > whole.end => {
-                        let left = |u| self.left(u, v, k, &whole);
+                        let left = |u| self.left(u, v, k, whole);
                         blend_cut(pixels, [upper, lower], rows.has_lower(), weights, (cue, u), left, self.opaque)
                     }
                     (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
@@ -243,6 +241,8 @@ struct Place<'a> {
     /// The first pixel that lies on the slice.
     first_u: usize,
     cue: Option<ScanlineCue<'a>>,
+    /// Pixels of which clipping leaves all of the slice.
+    whole: Range<usize>,
 }
 
 /// A sample of which a share is left.
