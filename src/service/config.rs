@@ -67,6 +67,7 @@ pub struct Http {
     pub write_timeout: Duration,
     pub max_body_bytes: NonZeroUsize,
     pub max_scene_bytes: NonZeroUsize,
+    pub max_scenes: NonZeroUsize,
     #[serde(rename = "shutdown_seconds", deserialize_with = "seconds")]
     pub shutdown: Duration,
 }

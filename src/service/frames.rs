@@ -8,6 +8,7 @@ use axum::extract::rejection::{BytesRejection, PathRejection};
 use axum::extract::{FromRequest, Path, RawQuery, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use tokio::sync::OwnedSemaphorePermit;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::classified::ClassifiedKey;
@@ -123,6 +124,8 @@ pub(super) struct Asked {
     format: Format,
     /// What stands behind the volume.
     picture: Option<Arc<Image>>,
+    /// What a scene holds.
+    place: Option<OwnedSemaphorePermit>,
     etag: String,
 }
 
@@ -150,7 +153,7 @@ impl Asked {
         let request = request.with_format(format)?;
         let frame = request.resolve(volume.volume(), &volume.presets, &app.config.image.limits())?;
         let etag = etag(&volume, &frame, format);
-        Ok(Self { arrived, id, volume, frame, format, picture: None, etag })
+        Ok(Self { arrived, id, volume, frame, format, picture: None, place: None, etag })
     }
 
     /// The same frame merged with a scene: rays end at its geometry, and its picture is behind the volume.
@@ -158,7 +161,8 @@ impl Asked {
         let matrices = request.matrices();
         let view = self.frame.view.clone();
         let made = app.pool.admit()?.run(move |_| parts.scene(&view, matrices)).await?.0?;
-        let Scene3d { depth, picture } = made;
+        let Scene3d { depth, picture, place } = made;
+        self.place = Some(place);
         let mut made_from = format!("{} {depth:?}", self.etag);
         self.frame.view = self.frame.view.ending_at(depth);
         if let Some(picture) = picture {

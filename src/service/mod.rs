@@ -34,6 +34,7 @@ use std::time::Duration;
 
 pub use loading::{ScanError, modality};
 use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 use tracing_subscriber::EnvFilter;
 
 use cache_folder::CacheFolder;
@@ -67,6 +68,8 @@ pub struct App {
     pool: RenderPool,
     store: Store,
     streams: Streams,
+    /// Room for clients' scenes.
+    scenes: Arc<Semaphore>,
 }
 
 /// A service that has its address and is not yet running.
@@ -99,7 +102,8 @@ impl Service {
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         let streams = Streams::new(config.stream.max_streams.get());
-        Ok(Self { listener, address, app: Arc::new(App { config, pool, store, streams }) })
+        let scenes = Arc::new(Semaphore::new(config.http.max_scenes.get().min(Semaphore::MAX_PERMITS)));
+        Ok(Self { listener, address, app: Arc::new(App { config, pool, store, streams, scenes }) })
     }
 
     /// Where it listens; the port is the real one where 0 was asked for.

@@ -13,6 +13,7 @@ use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
 use glam::DMat4;
 use png::{BitDepth, ColorType, Transformations};
+use tokio::sync::OwnedSemaphorePermit;
 use tower::{Layer, ServiceExt, service_fn};
 
 use super::App;
@@ -30,6 +31,8 @@ const WHITE: f32 = u16::MAX as f32;
 pub struct Parts {
     depth: Part,
     color: Option<Part>,
+    /// Their place among the scenes that may be in memory.
+    place: OwnedSemaphorePermit,
 }
 
 struct Part {
@@ -43,6 +46,8 @@ pub struct Scene3d {
     pub depth: Arc<SceneDepth>,
     /// Opaque.
     pub picture: Option<Image>,
+    /// To be held as long as the two are.
+    pub place: OwnedSemaphorePermit,
 }
 
 /// True where the body has several parts.
@@ -51,13 +56,15 @@ pub fn is_multipart(headers: &HeaderMap) -> bool {
     content_type.is_some_and(|text| text.trim_start().to_ascii_lowercase().starts_with("multipart/form-data"))
 }
 
-/// The request's JSON and its other parts.
+/// The request's JSON and its other parts, if there is room for them.
 pub async fn read(app: &App, request: Request) -> Result<(Bytes, Parts), Problem> {
-    let reading = tokio::time::timeout(app.config.http.body_timeout, parts(app, request));
+    let retry_after = app.config.render.retry_after_seconds.get();
+    let place = Arc::clone(&app.scenes).try_acquire_owned().map_err(|_| Problem::Busy { retry_after })?;
+    let reading = tokio::time::timeout(app.config.http.body_timeout, parts(app, request, place));
     reading.await.map_err(|_| Problem::BodyTimeout)?
 }
 
-async fn parts(app: &App, request: Request) -> Result<(Bytes, Parts), Problem> {
+async fn parts(app: &App, request: Request, place: OwnedSemaphorePermit) -> Result<(Bytes, Parts), Problem> {
     let limit = app.config.http.max_scene_bytes.get();
     let failed = |error: MultipartError| match error.status() {
         StatusCode::PAYLOAD_TOO_LARGE => Problem::BodyTooLarge { limit },
@@ -84,7 +91,7 @@ async fn parts(app: &App, request: Request) -> Result<(Bytes, Parts), Problem> {
         *place = Some(Part { content_type, bytes: field.bytes().await.map_err(failed)? });
     }
     let depth = depth.ok_or_else(|| Problem::refused("/depth", "expected a part with the depth buffer"))?;
-    Ok((request.map(|part| part.bytes).unwrap_or_default(), Parts { depth, color }))
+    Ok((request.map(|part| part.bytes).unwrap_or_default(), Parts { depth, color, place }))
 }
 
 impl Parts {
@@ -92,7 +99,7 @@ impl Parts {
     ///
     /// # Errors
     /// 422 where there are no matrices, and where a part is not what it should be.
-    pub fn scene(&self, view: &View, matrices: Option<[DMat4; 2]>) -> Result<Scene3d, Problem> {
+    pub fn scene(self, view: &View, matrices: Option<[DMat4; 2]>) -> Result<Scene3d, Problem> {
         let told = "expected matrices: a depth buffer means nothing without its projection";
         let [camera, projection] = matrices.ok_or_else(|| Problem::refused("/camera", told))?;
         let values = self.depth.depths(view.size())?;
@@ -102,7 +109,7 @@ impl Parts {
         }
         let depth = Arc::new(SceneDepth::from_window(&values, view, &projection, &camera));
         let picture = self.color.as_ref().map(|color| color.picture(view.size())).transpose()?;
-        Ok(Scene3d { depth, picture })
+        Ok(Scene3d { depth, picture, place: self.place })
     }
 }
 

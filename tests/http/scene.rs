@@ -1,6 +1,8 @@
 //! A client's scene: depth buffer and picture come with the request, the frame is merged with them.
 
-use std::io::Cursor;
+use std::io::{Cursor, Write};
+use std::net::TcpStream;
+use std::time::Duration;
 
 use glam::{DMat4, DVec3};
 use reqwest::Method;
@@ -151,4 +153,35 @@ async fn parts_that_do_not_fit_are_refused_by_name() {
     assert_eq!(problem(post(&service, &[json, depth, large]).await).await["status"], 413);
     let garbled = service.request(Method::POST, FRAME).header("content-type", "multipart/form-data").body("x");
     assert_eq!(problem(garbled.send().await.unwrap()).await["status"], 400);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn more_scenes_at_once_than_there_is_room_for_are_refused_with_503() {
+    let service = Running::start("[http]\nmax_scenes = 1").await;
+    let mut slow = TcpStream::connect(service.address).unwrap();
+    let head = format!(
+        "POST {FRAME} HTTP/1.1\r\nhost: x\r\ncontent-type: multipart/form-data; boundary={BOUNDARY}\r\ncontent-length: 9000\r\n\r\n--"
+    );
+    slow.write_all(head.as_bytes()).unwrap();
+    let (request, _) = request();
+    let json = request.to_string().into_bytes();
+    let parts = [("request", "application/json", json), ("depth", "application/octet-stream", floats(1.0))];
+    let mut status = 200;
+    for _ in 0..100 {
+        status = post(&service, &parts).await.status().as_u16();
+        if status != 200 {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert_eq!(status, 503);
+    drop(slow);
+    for _ in 0..100 {
+        status = post(&service, &parts).await.status().as_u16();
+        if status == 200 {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    panic!("{status}: the place never came back");
 }
