@@ -16,6 +16,7 @@ mod projection;
 use glam::{DMat4, DVec2, DVec3, Vec4};
 use rayon::prelude::*;
 
+use crate::render::view::cut;
 use crate::render::{Blend, Cancel, Projection, Ray, RenderError, Scene, Settings, View};
 use crate::volume::gradient::Code;
 use crate::volume::{Scalars, Volume};
@@ -130,26 +131,16 @@ impl<'a> Rays<'a> {
     fn stretch<'c>(&self, ray: &Ray, far: f64, cancel: &'c Cancel) -> Option<Stretch<'c>> {
         let start = self.index_from_world.transform_point3(ray.origin);
         let direction = self.index_from_world.transform_vector3(ray.direction);
-        let mut enter = match self.view.projection() {
+        let behind_eye = match self.view.projection() {
             Projection::Parallel => f64::NEG_INFINITY,
             Projection::Perspective => 0.0,
         };
-        let mut leave = far;
-        let mut cut = |distance: f64, rate: f64| {
-            // distance + t * rate >= 0
-            if rate > 0.0 {
-                enter = enter.max(-distance / rate);
-            } else if rate < 0.0 {
-                leave = leave.min(-distance / rate);
-            } else if distance < 0.0 {
-                leave = f64::NEG_INFINITY;
-            }
-        };
+        let mut span = [behind_eye, far];
         for axis in 0..3 {
-            cut(start[axis], direction[axis]);
-            cut(self.last[axis] - start[axis], -direction[axis]);
+            span = cut(span, start[axis], direction[axis]);
+            span = cut(span, self.last[axis] - start[axis], -direction[axis]);
         }
-        let [enter, leave] = self.view.clip().span(ray.origin, ray.direction, [enter, leave]);
+        let [enter, leave] = self.view.clip().span(ray.origin, ray.direction, span);
         (enter < leave).then(|| {
             // A length that is a whole number of steps but for rounding takes that number.
             let steps = ((leave - enter) / self.step - 1e-6).ceil().max(1.0);

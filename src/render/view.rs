@@ -113,6 +113,20 @@ pub struct HalfSpace {
     pub offset: f64,
 }
 
+/// What of a span has `distance + t rate >= 0`; it ends before it begins where that is nothing.
+#[inline(always)]
+pub fn cut([enter, leave]: [f64; 2], distance: f64, rate: f64) -> [f64; 2] {
+    if rate > 0.0 {
+        [enter.max(-distance / rate), leave]
+    } else if rate < 0.0 {
+        [enter, leave.min(-distance / rate)]
+    } else if distance < 0.0 {
+        [enter, f64::NEG_INFINITY]
+    } else {
+        [enter, leave]
+    }
+}
+
 /// A ball of world space or, in the space of a volume's indices, what becomes of one: points that `unit_from_space` takes
 /// within 1 of the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -174,14 +188,7 @@ impl Clip {
     #[inline(always)]
     pub fn span(&self, start: DVec3, step: DVec3, [mut enter, mut leave]: [f64; 2]) -> [f64; 2] {
         for half in &self.halves {
-            let (distance, rate) = (half.normal.dot(start) + half.offset, half.normal.dot(step));
-            if rate > 0.0 {
-                enter = enter.max(-distance / rate);
-            } else if rate < 0.0 {
-                leave = leave.min(-distance / rate);
-            } else if distance < 0.0 {
-                leave = f64::NEG_INFINITY;
-            }
+            [enter, leave] = cut([enter, leave], half.normal.dot(start) + half.offset, half.normal.dot(step));
         }
         for ball in &self.balls {
             let [first, last] = ball.span(start, step);

@@ -113,7 +113,10 @@ impl VoxelLattice for Scaled {
             }
             scratch.shade(voxels.source, first, k, material);
             let whole = match f.is_clipped() {
-                true => f.clipped_pixels(v, f.interval(k))[1].clone(),
+                true => {
+                    let [_, whole] = f.clipped_pixels(v, f.interval(k));
+                    whole
+                }
                 false => 0..usize::MAX,
             };
             let left = |u| voxels.left(u, v, k, &whole);

@@ -169,9 +169,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             let row = v - band.first;
             let mut scanline = band.scanline(row);
             let Scratch { front, back, lengths, inside, pixels, fresh, kept, buffer } = &mut *scratch;
-            if !self.find(slab, v, &scanline, inside, pixels) {
-                continue;
-            }
+            let Some(whole) = self.find(slab, v, &scanline, inside, pixels) else { continue };
             let kept = &mut kept[row];
             let samples = buffer.row(row, [&slab.front, &slab.back].map(|p| L::buffer_base(&p.placement)));
             let missing = if kept.slab + 1 == slab.number {
@@ -187,14 +185,15 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             let out = (&mut *samples.back, samples.back_base);
             L::sample(back, self.voxels, self.table, &slab.back, (&slab.pixels, v), pixels, out);
             let lengths = if L::LENGTHS { &lengths[row * self.factorization.size[0]..] } else { &[] };
-            self.blend(&mut scanline, v, slab, pixels, &samples, lengths);
+            self.blend(&mut scanline, (v, &whole), slab, pixels, &samples, lengths);
             samples.keep(pixels);
             kept.slab = slab.number;
             kept.pixels.copy_from(pixels);
         }
     }
 
-    /// Finds the pixels of scanline `v` to work on; false where there is none.
+    /// Finds the pixels of scanline `v` to work on; `None` where there is none. Gives those, among others, of which clipping leaves
+    /// all of the slab.
     #[inline(always)]
     fn find(
         &self,
@@ -203,17 +202,18 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         scanline: &ScanlineMut<'_>,
         inside: &Mask,
         pixels: &mut Mask,
-    ) -> bool {
+    ) -> Option<Range<usize>> {
         let ends = [&slab.front.placement, &slab.back.placement];
-        if !L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels) {
-            return false;
+        if !L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels)
+            || !pixels.keep_within(scanline.non_opaque, inside)
+        {
+            return None;
         }
-        let any = pixels.keep_within(scanline.non_opaque, inside);
-        if any && self.factorization.is_clipped() {
-            let [some, _] = self.factorization.clipped_pixels(v, slab.ends);
-            return pixels.keep(scanline.non_opaque, &some);
+        if !self.factorization.is_clipped() {
+            return Some(0..usize::MAX);
         }
-        any
+        let [some, whole] = self.factorization.clipped_pixels(v, slab.ends);
+        pixels.keep(scanline.non_opaque, &some).then_some(whole)
     }
 
     /// Looks slabs up and blends them behind what is there.
@@ -221,7 +221,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
-        v: usize,
+        (v, whole): (usize, &Range<usize>),
         slab: &Slab<'_, L::Placement>,
         pixels: &Mask,
         samples: &BufferRow<'_>,
@@ -229,10 +229,6 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     ) {
         let lit = self.voxels.is_lit();
         let cue = slab.cue.map(|cue| cue.scanline(v));
-        let whole = match self.factorization.is_clipped() {
-            true => Some(self.factorization.clipped_pixels(v, slab.ends)[1].clone()),
-            false => None,
-        };
         for (u, length) in Runs::new(pixels) {
             let run = Run {
                 u,
@@ -244,9 +240,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
                 share: slab.share,
             };
             let opaque = match (lit, cue.is_some()) {
-                _ if whole.as_ref().is_some_and(|whole| u < whole.start || u + length > whole.end) => {
-                    self.blend_cut(run, v, slab, whole.as_ref())
-                }
+                _ if u < whole.start || u + length > whole.end => self.blend_cut(run, v, slab, whole),
                 (false, false) => self.blend_run::<false, false>(run),
                 (false, true) => self.blend_run::<false, true>(run),
                 (true, false) => self.blend_run::<true, false>(run),
@@ -277,17 +271,13 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
 
     /// Blends consecutive pixels, some of which clip planes cut.
     #[inline(never)]
-    fn blend_cut(&self, run: Run<'_>, v: usize, slab: &Slab<'_, L::Placement>, whole: Option<&Range<usize>>) -> u64 {
+    fn blend_cut(&self, run: Run<'_>, v: usize, slab: &Slab<'_, L::Placement>, whole: &Range<usize>) -> u64 {
         let mut opaque = 0;
         let samples = run.front.iter().zip(run.back);
         for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
             let u = run.u + at;
             let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
-            let cut = if whole.is_some_and(|whole| whole.contains(&u)) {
-                None
-            } else {
-                Some(self.factorization.cut(u, v, slab.ends))
-            };
+            let cut = (!whole.contains(&u)).then(|| self.factorization.cut(u, v, slab.ends));
             let mut sample = self.cut_sample(*front, *back, length, cut);
             if let Some(cue) = run.cue {
                 sample = (sample * cue.at(u)).with_w(sample.w);

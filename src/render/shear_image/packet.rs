@@ -10,7 +10,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DVec3};
 
 use crate::render::depth::SceneDepth;
-use crate::render::view::{Clip, HalfSpace, Rays, View};
+use crate::render::view::{Clip, HalfSpace, Rays, View, cut};
 use crate::volume::Volume;
 
 /// Pixels of a packet: the lanes of a 256-bit register.
@@ -180,7 +180,7 @@ impl IndexRays {
             let at_first = origin + per_slice * ((first_slice - origin[axis]) * per_slice[axis]);
             let step = self.world_from_index.transform_vector3(per_slice);
             let length = step.length();
-            let (enter, mut leave) = self.span(at_first, per_slice, origin, axis);
+            let [enter, mut leave] = self.span(at_first, per_slice, origin, axis);
             if let Some(scene) = &self.scene {
                 let from_origin = f64::from(scene.at(x + lane, row)) / length;
                 leave = leave.min((origin[axis] - first_slice) * per_slice[axis] + from_origin);
@@ -206,28 +206,14 @@ impl IndexRays {
 
     /// Where `start + t step` is inside the volume, in front of the eye and within the clip planes.
     #[inline(always)]
-    fn span(&self, start: DVec3, step: DVec3, origin: DVec3, axis: usize) -> (f64, f64) {
+    fn span(&self, start: DVec3, step: DVec3, origin: DVec3, axis: usize) -> [f64; 2] {
         let behind_eye = (origin[axis] - start[axis]) * step[axis];
-        let mut span = (if self.parallel { 0.0 } else { f64::max(0.0, behind_eye) }, (self.dims[axis] - 1) as f64);
+        let mut span = [if self.parallel { 0.0 } else { f64::max(0.0, behind_eye) }, (self.dims[axis] - 1) as f64];
         for axis in IN_SLICE[axis] {
             span = cut(span, start[axis], step[axis]);
             span = cut(span, (self.dims[axis] - 1) as f64 - start[axis], -step[axis]);
         }
-        self.clip.span(start, step, span.into()).into()
-    }
-}
-
-/// What of a span has `distance + t rate >= 0`.
-#[inline(always)]
-fn cut((enter, leave): (f64, f64), distance: f64, rate: f64) -> (f64, f64) {
-    if rate > 0.0 {
-        (enter.max(-distance / rate), leave)
-    } else if rate < 0.0 {
-        (enter, leave.min(-distance / rate))
-    } else if distance < 0.0 {
-        (enter, f64::NEG_INFINITY)
-    } else {
-        (enter, leave)
+        self.clip.span(start, step, span)
     }
 }
 
