@@ -1,9 +1,9 @@
 //! One door to wider registers: the same safe code, compiled twice.
 //!
-//! The kernels are plain code over arrays and [`glam::Vec4`], without intrinsics. What makes them
-//! fast is that they are also compiled for AVX2, and which of the two runs is decided once for a job
-//! (a band of scanlines). Both give the same bits: nothing here fuses a multiplication with an
-//! addition.
+//! The kernels are plain code over arrays and [`glam::Vec4`]. What makes them fast is that they are also
+//! compiled for AVX2, and which of the two runs is decided once for a job (a band of scanlines). Only
+//! the warp's innermost loop has a twin written in AVX2's own terms ([`Kernel::run_avx2`]). Both give
+//! the same bits: nothing here fuses a multiplication with an addition.
 //!
 //! [`prefetch`] stands here too, for it is the other thing that a processor has and the language has not.
 //!
@@ -20,6 +20,16 @@ pub trait Kernel {
 
     /// The job. Implementations are `#[inline(always)]`.
     fn run(self) -> Self::Output;
+
+    /// The same where AVX2 is there, for what the compiler does not find by itself.
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) -> Self::Output
+    where
+        Self: Sized,
+    {
+        self.run()
+    }
 }
 
 /// Runs `kernel` with the widest registers that the machine has.
@@ -55,5 +65,5 @@ pub fn prefetch<T>(slice: &[T]) {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
 fn with_avx2<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run()
+    kernel.run_avx2()
 }

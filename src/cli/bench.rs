@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use glam::Vec4;
 use indicatif::ProgressBar;
 use serde::{Serialize, Serializer};
 use shearwarp::encode::{Format, encode};
@@ -173,7 +174,7 @@ impl Phases {
         self.image_bytes = image.pixels.len() as u64;
         if stage.classified.is_some() {
             let parts = Factorization::parts(&view, stage.prepared.volume()).unwrap_or_default();
-            let bytes = parts.iter().map(|part| IntermediateImage::new(part.size).bytes()).sum();
+            let bytes = parts.iter().map(|part| IntermediateImage::new(part.size, Vec4::ZERO).bytes()).sum();
             self.intermediate_bytes = self.intermediate_bytes.max(bytes);
         }
         Ok(())

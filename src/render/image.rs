@@ -34,6 +34,14 @@ impl Image {
 }
 
 impl Background {
+    /// What is behind the volume, premultiplied.
+    pub fn behind(&self) -> Vec4 {
+        match self {
+            Self::Transparent => Vec4::ZERO,
+            Self::Opaque([r, g, b]) => Vec4::new(*r, *g, *b, 1.0),
+        }
+    }
+
     /// Bytes of a pixel over this background.
     pub const fn channels(&self) -> usize {
         match self {

@@ -6,6 +6,10 @@
 //! non-opaque pixel is a count of trailing zeros away, marking a pixel opaque clears one bit in
 //! place of updating the links before it, and, which links cannot do, a run of voxels is
 //! intersected with 64 pixels in one instruction.
+//!
+//! A band of scanlines is composited in floating-point pixels that stay in the second-level cache, and
+//! left to the warp as 16-bit fixed-point ones, half as large, over the background already: what is behind
+//! the volume is linear in its pixels, as the warp's filter is.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -16,39 +20,83 @@ use rayon::prelude::*;
 /// Pixels of a mask word.
 const WORD: usize = 64;
 
-/// Pixels of images that are not needed any more. Memory that the system gives anew costs a fault
-/// for every page, which together took as long as a warp.
-static SPARE: Mutex<Vec<Vec<Vec4>>> = Mutex::new(vec![]);
+/// Pixels that are looked at together where it is measured what was drawn.
+const BLOCK: usize = 8;
 
-/// So many images are kept at most, of so many pixels.
-const SPARE_IMAGES: usize = 4;
-const SPARE_PIXELS: usize = 1 << 20;
+/// A pixel that the warp reads: red, green, blue and opacity, premultiplied, in units of 1 / [`ONE`].
+pub type Fixed = [i16; 4];
 
-/// An image in sheared space.
-#[derive(Debug)]
-pub struct IntermediateImage {
-    size: [usize; 2],
-    pixels: Vec<Vec4>,
-    /// Words of `non_opaque` per scanline: one more than its pixels need, so that a shifted mask
-    /// can be read across the end.
-    words: usize,
-    non_opaque: Vec<u64>,
-    /// By scanline: no pixel outside this range has been drawn on.
-    drawn: Vec<Range<usize>>,
-}
+/// 1.0 in a [`Fixed`] pixel: whole steps of 8 bits are whole numbers.
+pub const ONE: i16 = 255 << ONE_SHIFT;
 
-impl Drop for IntermediateImage {
-    /// Leaves the pixels to the next frame.
-    fn drop(&mut self) {
-        let pixels = std::mem::take(&mut self.pixels);
-        let mut spare = SPARE.lock().unwrap_or_else(PoisonError::into_inner);
-        if pixels.capacity() <= SPARE_PIXELS && spare.len() < SPARE_IMAGES {
+/// Bits of a [`Fixed`] pixel below a step of 8 bits.
+pub const ONE_SHIFT: u32 = 7;
+
+/// Memory that is not needed any more, for the next frame. What the system gives anew costs a fault for every
+/// page, which together took as long as a warp.
+struct Spare<T>(Mutex<Vec<Vec<T>>>);
+
+static SPARE_IMAGES: Spare<Fixed> = Spare::new();
+static SPARE_BANDS: Spare<Vec4> = Spare::new();
+
+impl<T> Spare<T> {
+    /// So many are kept at most, of so many bytes.
+    const COUNT: usize = 8;
+    const BYTES: usize = 8 << 20;
+
+    const fn new() -> Self {
+        Self(Mutex::new(vec![]))
+    }
+
+    fn take(&self) -> Vec<T> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    fn give(&self, pixels: Vec<T>) {
+        let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if pixels.capacity() * size_of::<T>() <= Self::BYTES && spare.len() < Self::COUNT {
             spare.push(pixels);
         }
     }
 }
 
+/// An image in sheared space.
+#[derive(Debug)]
+pub struct IntermediateImage {
+    size: [usize; 2],
+    behind: Vec4,
+    pixels: Vec<Fixed>,
+    /// By scanline: no pixel outside this range has been drawn on.
+    drawn: Vec<Range<usize>>,
+}
+
+impl Drop for IntermediateImage {
+    fn drop(&mut self) {
+        SPARE_IMAGES.give(std::mem::take(&mut self.pixels));
+    }
+}
+
 /// Scanlines of an intermediate image that one job fills.
+#[derive(Debug)]
+pub struct Strip<'a> {
+    first: usize,
+    width: usize,
+    behind: Vec4,
+    pixels: &'a mut [Fixed],
+    drawn: &'a mut [Range<usize>],
+}
+
+/// What bands are composited in, one after the other.
+#[derive(Debug)]
+pub struct BandBuffer {
+    /// All zero but while a band is open.
+    pixels: Vec<Vec4>,
+    /// Words per scanline: one more than its pixels need, so that a shifted mask can be read across the end.
+    non_opaque: Vec<u64>,
+    open: bool,
+}
+
+/// The scanlines of a [`Strip`] while they are composited.
 #[derive(Debug)]
 pub struct Band<'a> {
     /// The first scanline's v.
@@ -57,7 +105,6 @@ pub struct Band<'a> {
     pixels: &'a mut [Vec4],
     words: usize,
     non_opaque: &'a mut [u64],
-    drawn: &'a mut [Range<usize>],
 }
 
 /// One scanline: pixels from u = 0, and the mask of those not opaque.
@@ -68,15 +115,13 @@ pub struct ScanlineMut<'a> {
 }
 
 impl IntermediateImage {
-    /// An image of `size` pixels along u and v, to be cleared band by band.
-    pub fn new(size: [usize; 2]) -> Self {
+    /// An image of `size` pixels along u and v, to be filled strip by strip, over `behind`, a premultiplied pixel.
+    pub fn new(size: [usize; 2], behind: Vec4) -> Self {
         let [width, height] = size;
-        let words = width.div_ceil(WORD) + 1;
-        let mut pixels = SPARE.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-        pixels.resize((width + 2) * (height + 2), Vec4::ZERO);
-        // What is read beside the last pixels has no weight, but must be numbers.
-        pixels[width * height..].fill(Vec4::ZERO);
-        Self { size, pixels, words, non_opaque: vec![0; words * height], drawn: vec![0..width; height] }
+        let mut pixels = SPARE_IMAGES.take();
+        // What is read beside the last pixels has no weight.
+        pixels.resize((width + 2) * (height + 2), [0; 4]);
+        Self { size, behind, pixels, drawn: vec![0..0; height] }
     }
 
     /// Pixels along u and v.
@@ -84,12 +129,12 @@ impl IntermediateImage {
         self.size
     }
 
-    /// All pixels, u fastest.
-    pub fn pixels(&self) -> &[Vec4] {
+    /// All pixels, u fastest, and at least a scanline and two pixels more.
+    pub fn pixels(&self) -> &[Fixed] {
         &self.pixels
     }
 
-    /// Pixels along u outside of which scanlines `v` and `last_v` and those between are transparent.
+    /// Pixels along u outside of which scanlines `v` and `last_v` and those between show nothing but what is behind.
     #[inline(always)]
     pub fn drawn(&self, v: usize, last_v: usize) -> Range<usize> {
         let mut drawn = self.size[0]..0;
@@ -102,58 +147,133 @@ impl IntermediateImage {
 
     /// Bytes in memory.
     pub fn bytes(&self) -> u64 {
-        (size_of_val(&self.pixels[..]) + size_of_val(&self.non_opaque[..]) + size_of_val(&self.drawn[..])) as u64
+        (size_of_val(&self.pixels[..]) + size_of_val(&self.drawn[..])) as u64
     }
 
-    /// The image in bands of `height` scanlines (the last may be shorter).
-    pub fn bands(&mut self, height: usize) -> impl IndexedParallelIterator<Item = Band<'_>> {
-        let (width, words) = (self.size[0], self.words);
-        let pixels = self.pixels.par_chunks_mut(width * height);
-        let masks = self.non_opaque.par_chunks_mut(words * height);
+    /// The image in strips of `height` scanlines (the last may be shorter).
+    pub fn strips(&mut self, height: usize) -> impl IndexedParallelIterator<Item = Strip<'_>> {
+        let ([width, all], behind) = (self.size, self.behind);
+        let pixels = self.pixels[..width * all].par_chunks_mut(width * height);
         let drawn = self.drawn.par_chunks_mut(height);
-        pixels.zip(masks).zip(drawn).enumerate().map(move |(band, ((pixels, non_opaque), drawn))| Band {
-            first: band * height,
+        pixels.zip(drawn).enumerate().map(move |(strip, (pixels, drawn))| Strip {
+            first: strip * height,
             width,
+            behind,
             pixels,
-            words,
-            non_opaque,
             drawn,
         })
     }
+}
+
+impl Default for BandBuffer {
+    /// Room for a band, whatever its size turns out to be.
+    fn default() -> Self {
+        Self { pixels: SPARE_BANDS.take(), non_opaque: vec![], open: false }
+    }
+}
+
+impl Drop for BandBuffer {
+    fn drop(&mut self) {
+        if !self.open {
+            SPARE_BANDS.give(std::mem::take(&mut self.pixels));
+        }
+    }
+}
+
+impl Strip<'_> {
+    /// The strip's scanlines, all transparent.
+    #[inline(always)]
+    pub fn open<'b>(&self, buffer: &'b mut BandBuffer) -> Band<'b> {
+        let (width, count) = (self.width, self.pixels.len());
+        if std::mem::replace(&mut buffer.open, true) {
+            // A band was begun in it and not ended.
+            buffer.pixels.fill(Vec4::ZERO);
+        }
+        if buffer.pixels.len() < count {
+            buffer.pixels.resize(count, Vec4::ZERO);
+        }
+        let words = width.div_ceil(WORD) + 1;
+        buffer.non_opaque.resize(words * self.drawn.len(), 0);
+        let (whole, rest) = (width / WORD, width % WORD);
+        for words in buffer.non_opaque.chunks_exact_mut(words) {
+            words[..whole].fill(u64::MAX);
+            words[whole] = (1 << rest) - 1;
+            words[whole + 1..].fill(0);
+        }
+        let (pixels, non_opaque) = (&mut buffer.pixels[..count], &mut buffer.non_opaque[..]);
+        Band { first: self.first, width, pixels, words, non_opaque }
+    }
+
+    /// Takes over what was drawn in `buffer`, and leaves it as it was before.
+    #[inline(always)]
+    pub fn close(self, buffer: &mut BandBuffer) {
+        let ground = fixed(&[self.behind])[0];
+        let scanlines = self.pixels.chunks_exact_mut(self.width).zip(self.drawn);
+        for ((fixed_pixels, drawn), pixels) in scanlines.zip(buffer.pixels.chunks_exact_mut(self.width)) {
+            *drawn = measure(pixels);
+            fixed_pixels[..drawn.start].fill(ground);
+            fixed_pixels[drawn.end..].fill(ground);
+            let (fixed_pixels, pixels) = (&mut fixed_pixels[drawn.clone()], &mut pixels[drawn.clone()]);
+            let (fixed_blocks, blocks) = (fixed_pixels.chunks_mut(BLOCK), pixels.chunks_mut(BLOCK));
+            for (fixed_pixels, pixels) in fixed_blocks.zip(blocks) {
+                match <&[Vec4; BLOCK]>::try_from(&*pixels) {
+                    Ok(pixels) => fixed_pixels.copy_from_slice(&fixed(&over(pixels, self.behind))),
+                    Err(_) => {
+                        for (out, pixel) in fixed_pixels.iter_mut().zip(&*pixels) {
+                            *out = fixed(&over(&[*pixel], self.behind))[0];
+                        }
+                    }
+                }
+                pixels.fill(Vec4::ZERO);
+            }
+        }
+        buffer.open = false;
+    }
+}
+
+/// Where pixels have been drawn on, to a block.
+#[inline(always)]
+fn measure(pixels: &[Vec4]) -> Range<usize> {
+    let drawn = |block: &[Vec4]| block.iter().fold(0, |bits, pixel| bits | or(pixel)) != 0;
+    let blocks = || pixels.chunks(BLOCK);
+    let Some(first) = blocks().position(drawn) else { return 0..0 };
+    let last = blocks().rposition(drawn).unwrap_or(first);
+    first * BLOCK..((last + 1) * BLOCK).min(pixels.len())
+}
+
+/// Zero only where all components are.
+#[inline(always)]
+fn or(pixel: &Vec4) -> u32 {
+    pixel.to_array().iter().fold(0, |bits, component| bits | component.to_bits())
+}
+
+/// Pixels over one that is behind them.
+#[inline(always)]
+fn over<const N: usize>(pixels: &[Vec4; N], behind: Vec4) -> [Vec4; N] {
+    let mut over = *pixels;
+    for pixel in &mut over {
+        *pixel += behind * (1.0 - pixel.w);
+    }
+    over
+}
+
+/// To the nearest fixed-point numbers. Adding 1.5 * 2^23 leaves them in the low mantissa bits.
+#[inline(always)]
+fn fixed<const N: usize>(pixels: &[Vec4; N]) -> [Fixed; N] {
+    let mut fixed = [[0; 4]; N];
+    for (fixed, pixel) in fixed.iter_mut().zip(pixels) {
+        let scaled = pixel.clamp(Vec4::ZERO, Vec4::ONE) * f32::from(ONE) + Vec4::splat(12_582_912.0);
+        for (fixed, component) in fixed.iter_mut().zip(scaled.to_array()) {
+            *fixed = component.to_bits() as i16;
+        }
+    }
+    fixed
 }
 
 impl Band<'_> {
     /// Number of scanlines.
     pub fn height(&self) -> usize {
         self.pixels.len() / self.width
-    }
-
-    /// Makes all pixels transparent.
-    #[inline(always)]
-    pub fn clear(&mut self) {
-        self.pixels.fill(Vec4::ZERO);
-        let (whole, rest) = (self.width / WORD, self.width % WORD);
-        for words in self.non_opaque.chunks_exact_mut(self.words) {
-            words.fill(0);
-            words[..whole].fill(u64::MAX);
-            words[whole] = (1 << rest) - 1;
-        }
-    }
-
-    /// Looks what has been drawn on, while it is near: the warp leaves out the rest.
-    #[inline(always)]
-    pub fn measure(&mut self) {
-        for (pixels, drawn) in self.pixels.chunks_exact(self.width).zip(&mut *self.drawn) {
-            let mut end = self.width;
-            while end > 0 && pixels[end - 1] == Vec4::ZERO {
-                end -= 1;
-            }
-            let mut start = 0;
-            while start < end && pixels[start] == Vec4::ZERO {
-                start += 1;
-            }
-            *drawn = start..end;
-        }
     }
 
     /// Scanline `row` of the band.

@@ -84,7 +84,7 @@ fn part(
         settings,
         cancel,
     };
-    let mut image = IntermediateImage::new(factorization.size);
+    let mut image = IntermediateImage::new(factorization.size, settings.background.behind());
     let begun = match settings.algorithm {
         Algorithm::Preintegrated => pass.slabs(&mut image),
         _ => pass.voxels(&mut image),

@@ -9,27 +9,30 @@
 //! the weights. Eight pixels of a row are placed at once. Under parallel projection the map is
 //! affine: the eight lie at fixed distances from the first, and that is stepped by additions. In
 //! perspective each is divided out anew, so that nothing accumulates, and taken to fixed point by
-//! adding a number so large that the sum's mantissa ends where the fraction does. A pixel's left and
-//! right neighbours are next to each other in memory: eight numbers, interpolated downwards at once.
+//! adding a number so large that the sum's mantissa ends where the fraction does.
+//!
+//! Pixels are fixed-point numbers too, 16 bits a component, and weights have 14: the four products of a
+//! component are two instructions' work, and nothing but the result is rounded. There is no table of
+//! transparent pixels' colours to care for: the intermediate image is over the background already.
 //!
 //! Where a picture has parts, each pixel is warped from the one that its ray belongs to.
 
+mod lanes;
+
 use std::ops::Range;
 
-use glam::{DVec2, DVec3, Vec4};
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use self::lanes::{FRACTION_BITS, LANES, Lanes, Portable, Rgb, Rgba};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::simd::{self, Kernel};
-use super::{Background, Cancel, RenderError, image};
+use super::{Background, Cancel, RenderError};
 
 /// Fractional bits of a position that is stepped along a row: over 2^15 pixels it errs by less than
 /// 2^-16 pixels.
 const STEPPED_BITS: u32 = 32;
-
-/// Fractional bits of a position that pixels are read at: its 32 bits reach as far as an intermediate image.
-const FRACTION_BITS: u32 = 15;
 
 /// Added to a position below 2^17, leaves `FRACTION_BITS` of its fraction at the mantissa's end.
 const TO_FIXED: f64 = 1.5 * (1u64 << (f64::MANTISSA_DIGITS - 1 - FRACTION_BITS)) as f64;
@@ -40,12 +43,6 @@ const ROUNDING: f64 = 1e-6;
 
 /// Rows that one job fills.
 const BAND_HEIGHT: usize = 16;
-
-/// Pixels that are placed at once.
-const LANES: usize = 8;
-
-/// Numbers of two pixels, one after the other.
-type Pair = [f32; 8];
 
 /// A factorization and its composited slices.
 #[derive(Clone, Copy, Debug)]
@@ -89,52 +86,50 @@ impl Kernel for Band<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let channels = self.background.channels();
-        let row_bytes = self.width * channels;
-        let mut pixels = vec![Vec4::ZERO; self.width];
-        let mut empty = vec![0; row_bytes];
-        image::write_row(&pixels, self.background, &mut empty);
-        for (row, out) in self.rows.chunks_exact_mut(row_bytes).enumerate() {
-            let centre = DVec3::new(0.5, (self.first + row) as f64 + 0.5, 1.0);
-            match self.parts {
-                [part] => {
-                    let row = Row::new(part, centre, self.width);
-                    let Range { start, end } = row.inside;
-                    row.sample(part, &mut pixels[start..end]);
-                    out[..start * channels].copy_from_slice(&empty[..start * channels]);
-                    image::write_row(&pixels[start..end], self.background, &mut out[start * channels..end * channels]);
-                    out[end * channels..].copy_from_slice(&empty[end * channels..]);
-                }
-                parts => {
-                    several(parts, centre, &mut pixels);
-                    image::write_row(&pixels, self.background, out);
-                }
-            }
+        match self.background {
+            Background::Opaque(_) => self.fill::<Rgb<Portable>>(),
+            Background::Transparent => self.fill::<Rgba>(),
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) {
+        match self.background {
+            Background::Opaque(_) => self.fill::<Rgb<lanes::Avx2>>(),
+            Background::Transparent => self.fill::<Rgba>(),
         }
     }
 }
 
-/// A row whose pixels belong to several parts (or to none).
-#[inline(never)]
-fn several(parts: &[Part<'_>], centre: DVec3, pixels: &mut [Vec4]) {
-    let owners: Vec<Option<usize>> = (0..pixels.len())
-        .map(|x| {
-            let at = DVec2::new(centre.x + x as f64, centre.y);
-            parts.iter().position(|part| part.factorization.owns(at))
-        })
-        .collect();
-    pixels.fill(Vec4::ZERO);
-    let mut warped = vec![Vec4::ZERO; pixels.len()];
-    for (n, part) in parts.iter().enumerate() {
-        if !owners.contains(&Some(n)) {
-            continue;
-        }
-        let row = Row::new(part, centre, pixels.len());
-        warped.fill(Vec4::ZERO);
-        row.sample(part, &mut warped[row.inside.clone()]);
-        for ((pixel, warped), _) in pixels.iter_mut().zip(&warped).zip(&owners).filter(|(_, owner)| **owner == Some(n))
-        {
-            *pixel = *warped;
+impl Band<'_> {
+    #[inline(always)]
+    fn fill<L: Lanes>(self) {
+        let row_bytes = self.width * L::CHANNELS;
+        let behind = self.background.behind().to_array().map(|component| (component * 255.0).round() as u8);
+        let empty = behind[..L::CHANNELS].repeat(self.width);
+        let mut warped = vec![0; if self.parts.len() > 1 { row_bytes } else { 0 }];
+        for (row, out) in self.rows.chunks_exact_mut(row_bytes).enumerate() {
+            let centre = DVec3::new(0.5, (self.first + row) as f64 + 0.5, 1.0);
+            match self.parts {
+                [part] => Row::new(part, centre, self.width).warp::<L>(part, &empty, out),
+                parts => {
+                    out.copy_from_slice(&empty);
+                    let owners: Vec<Option<usize>> = (0..self.width)
+                        .map(|x| {
+                            let at = DVec2::new(centre.x + x as f64, centre.y);
+                            parts.iter().position(|part| part.factorization.owns(at))
+                        })
+                        .collect();
+                    for (n, part) in parts.iter().enumerate().filter(|(n, _)| owners.contains(&Some(*n))) {
+                        Row::new(part, centre, self.width).warp::<L>(part, &empty, &mut warped);
+                        let pixels = out.chunks_exact_mut(L::CHANNELS).zip(warped.chunks_exact(L::CHANNELS));
+                        for ((out, warped), _) in pixels.zip(&owners).filter(|(_, owner)| **owner == Some(n)) {
+                            out.copy_from_slice(warped);
+                        }
+                    }
+                }
+            }
         }
     }
 }
@@ -177,29 +172,28 @@ impl Row {
         image.drawn((a.min(b) - 0.01).max(0.0) as usize, (a.max(b) + 1.01) as usize)
     }
 
-    /// Samples the pixels inside.
+    /// Writes the whole row, `empty` where it is not inside.
     #[inline(always)]
-    fn sample(&self, part: &Part<'_>, pixels: &mut [Vec4]) {
+    fn warp<L: Lanes>(&self, part: &Part<'_>, empty: &[u8], out: &mut [u8]) {
+        let (start, end) = (self.inside.start * L::CHANNELS, self.inside.end * L::CHANNELS);
+        out[..start].copy_from_slice(&empty[..start]);
+        out[end..].copy_from_slice(&empty[end..]);
         if part.factorization.is_parallel() {
-            self.affine(part.image, pixels);
+            self.affine::<L>(part.image, &mut out[start..end]);
         } else {
-            self.projective(part.image, pixels);
+            self.projective::<L>(part.image, &mut out[start..end]);
         }
     }
 
     /// Blocks begin at multiples of their length, wherever the row does: a pixel's position depends on
     /// nothing but its place in the row.
     #[inline(always)]
-    fn affine(&self, image: &IntermediateImage, pixels: &mut [Vec4]) {
+    fn affine<L: Lanes>(&self, image: &IntermediateImage, out: &mut [u8]) {
         let Range { start, end } = self.inside;
         let first = start / LANES * LANES;
         let [du, dv] = [self.step.x, self.step.y].map(stepped);
         let (mut u, mut v) = (stepped(self.start.x) + du * first as i64, stepped(self.start.y) + dv * first as i64);
-        let (mut along_u, mut along_v) = ([0; LANES], [0; LANES]);
-        for lane in 0..LANES {
-            along_u[lane] = shortened(du * lane as i64);
-            along_v[lane] = shortened(dv * lane as i64);
-        }
+        let (along_u, along_v) = (along(du), along(dv));
         for x in (first..end).step_by(LANES) {
             let (first_u, first_v) = (shortened(u), shortened(v));
             let (mut us, mut vs) = ([0; LANES], [0; LANES]);
@@ -209,15 +203,15 @@ impl Row {
                 vs[lane] = first_v.wrapping_add(along_v[lane]).max(0);
             }
             let (from, to) = (x.max(start), (x + LANES).min(end));
-            sample(image, [us, vs], from - x, &mut pixels[from - start..to - start]);
+            L::write(image, [us, vs], from - x, &mut out[(from - start) * L::CHANNELS..(to - start) * L::CHANNELS]);
             (u, v) = (u + du * LANES as i64, v + dv * LANES as i64);
         }
     }
 
     #[inline(always)]
-    fn projective(&self, image: &IntermediateImage, pixels: &mut [Vec4]) {
+    fn projective<L: Lanes>(&self, image: &IntermediateImage, out: &mut [u8]) {
         let [low, high] = self.extent;
-        for (block, pixels) in pixels.chunks_mut(LANES).enumerate() {
+        for (block, out) in out.chunks_mut(LANES * L::CHANNELS).enumerate() {
             let first = (self.inside.start + block * LANES) as f64;
             let (mut us, mut vs) = ([0; LANES], [0; LANES]);
             for lane in 0..LANES {
@@ -228,36 +222,8 @@ impl Row {
                 us[lane] = (u + TO_FIXED).to_bits() as i32;
                 vs[lane] = (v + TO_FIXED).to_bits() as i32;
             }
-            sample(image, [us, vs], 0, pixels);
+            L::write(image, [us, vs], 0, out);
         }
-    }
-}
-
-/// The bilinearly interpolated pixels at some positions, from lane `first` on.
-#[inline(always)]
-fn sample(image: &IntermediateImage, [us, vs]: [[i32; LANES]; 2], first: usize, out: &mut [Vec4]) {
-    const SCALE: f32 = 1.0 / (1 << FRACTION_BITS) as f32;
-    let stride = image.size()[0];
-    let span = stride * 4 + 8;
-    let numbers: &[f32] = bytemuck::cast_slice(image.pixels());
-    let (mut at, mut fractions_u, mut fractions_v) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
-    for lane in 0..LANES {
-        let (u, v) = (us[lane] >> FRACTION_BITS, vs[lane] >> FRACTION_BITS);
-        at[lane] = v.wrapping_mul(stride as i32).wrapping_add(u) as u32;
-        fractions_u[lane] = (us[lane] & ((1 << FRACTION_BITS) - 1)) as f32 * SCALE;
-        fractions_v[lane] = (vs[lane] & ((1 << FRACTION_BITS) - 1)) as f32 * SCALE;
-    }
-    for (out, lane) in out.iter_mut().zip(first..LANES) {
-        // From the upper two pixels to the lower two: one look at the bounds for all.
-        let around = &numbers[at[lane] as usize * 4..][..span];
-        let upper: &Pair = around.first_chunk().expect("eight numbers");
-        let lower: &Pair = around.last_chunk().expect("eight numbers");
-        let mut pair = [0.0; 8];
-        for n in 0..8 {
-            pair[n] = upper[n] + (lower[n] - upper[n]) * fractions_v[lane];
-        }
-        let [left, right] = [Vec4::from_slice(&pair[..4]), Vec4::from_slice(&pair[4..])];
-        *out = left + (right - left) * fractions_u[lane];
     }
 }
 
@@ -280,6 +246,12 @@ fn inside([lowest, highest]: [DVec2; 2], start: DVec3, step: DVec3, length: usiz
     }
     let (low, high) = (low.ceil(), high.floor());
     if low > high { 0..0 } else { low as usize..high as usize + 1 }
+}
+
+/// How far a block's positions are from its first, by lane. In memory: the loop would take apart what it sees made.
+#[inline(never)]
+fn along(step: i64) -> [i32; LANES] {
+    std::array::from_fn(|lane| shortened(step * lane as i64))
 }
 
 /// A position to be stepped.

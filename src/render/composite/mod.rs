@@ -36,7 +36,7 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::RenderError;
-use super::intermediate::{Band, IntermediateImage};
+use super::intermediate::{Band, BandBuffer, IntermediateImage, Strip};
 use super::simd::{self, Kernel};
 
 /// Pixels of a mask word.
@@ -71,9 +71,9 @@ pub trait Composite: Sync {
     where
         Self: Sized,
     {
-        image.bands(BAND_HEIGHT).try_for_each_init(
-            || self.scratch(BAND_HEIGHT),
-            |scratch, mut band| simd::dispatch(Job { composite: self, band: &mut band, scratch }),
+        image.strips(BAND_HEIGHT).try_for_each_init(
+            || (BandBuffer::default(), self.scratch(BAND_HEIGHT)),
+            |(buffer, scratch), strip| simd::dispatch(Job { composite: self, strip, buffer, scratch }),
         )
     }
 }
@@ -81,7 +81,8 @@ pub trait Composite: Sync {
 /// One band.
 struct Job<'a, 'b, C: Composite> {
     composite: &'a C,
-    band: &'a mut Band<'b>,
+    strip: Strip<'b>,
+    buffer: &'a mut BandBuffer,
     scratch: &'a mut C::Scratch,
 }
 
@@ -90,9 +91,9 @@ impl<C: Composite> Kernel for Job<'_, '_, C> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.band.clear();
-        self.composite.band(self.band, self.scratch)?;
-        self.band.measure();
+        let mut band = self.strip.open(self.buffer);
+        self.composite.band(&mut band, self.scratch)?;
+        self.strip.close(self.buffer);
         Ok(())
     }
 }

@@ -17,7 +17,7 @@ use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, Weights};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, SlicePlacement};
-use crate::render::intermediate::IntermediateImage;
+use crate::render::intermediate::{BandBuffer, IntermediateImage};
 use crate::render::material::Light;
 use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{Cancel, RenderError};
@@ -33,15 +33,16 @@ pub trait Pixels: Sync {
 /// # Errors
 /// [`RenderError::Cancelled`].
 pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel) -> Result<(), RenderError> {
-    image.bands(1).try_for_each(|mut band| {
+    image.strips(1).try_for_each_init(BandBuffer::default, |buffer, strip| {
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
-        band.clear();
+        let mut band = strip.open(buffer);
         let v = band.first;
         for (u, pixel) in band.scanline(0).pixels.iter_mut().enumerate() {
             *pixel = pixels.pixel(u, v);
         }
+        strip.close(buffer);
         Ok(())
     })
 }
