@@ -1,7 +1,8 @@
 //! Scenes that the tests share: small volumes, transfer functions, views.
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec4};
 use shearwarp::classify::{Classification, Color, ControlPoint, Encodings, Purpose, TransferFunction};
+use shearwarp::raycast::raycast;
 use shearwarp::render::{
     Algorithm, Background, BufferSlice, Camera, Cancel, Image, Preintegration, Projection, Quality, Scene, Settings,
     View, render,
@@ -39,6 +40,17 @@ impl Prepared {
         };
         let encodings = (settings.algorithm != Algorithm::FastClassification).then_some(encodings);
         self.frame_with(classification, encodings, view, settings)
+    }
+
+    /// The ray caster's pixels before they are rounded to 8 bits.
+    pub fn rays(&self, view: &View, settings: &Settings) -> Vec<Vec4> {
+        let scene = Scene {
+            prepared: &self.prepared,
+            transfer: &self.transfer,
+            classification: Some(&self.classified[1].0),
+            encodings: None,
+        };
+        raycast(&scene, view, settings, &Cancel::default()).unwrap()
     }
 
     /// The frame from what is given, whatever the algorithm would take.

@@ -152,6 +152,14 @@ impl IndexRays {
         (axis, direction[axis] < 0.0)
     }
 
+    /// True where the view has several parts.
+    pub fn has_joints(&self) -> bool {
+        let [right, bottom] = [self.size.0 - 1, self.size.1 - 1];
+        let corners = [(0, 0), (right, 0), (0, bottom), (right, bottom)].map(|(x, y)| self.part(x, y));
+        // The directions of a part are a convex cone.
+        corners.iter().any(|part| *part != corners[0])
+    }
+
     /// The rays of `lanes` of the pixels from (x, y) on, which are of one part; `None` where none meets
     /// the volume.
     #[inline(always)]
