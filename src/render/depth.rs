@@ -7,7 +7,7 @@
 //! it is interpolated where the surface goes on, and taken from the nearest where it is torn, so that neither slopes
 //! become stairs nor silhouettes become sheets.
 //!
-//! What comes of it is where each ray ends, in slices ([`Ends`]); the kernels then treat it as one more clip plane
+//! What comes of it is where each ray ends, in slices ([`Limits`]); the kernels then treat it as one more clip plane
 //! ([`Factorization::cut`]). Rays in image order ask the buffer itself.
 
 use std::fmt;
@@ -111,59 +111,96 @@ impl SceneDepth {
     }
 }
 
-/// Where the rays of an intermediate image end, along k.
+/// Pixels of a word of masks.
+const WORD: usize = 64;
+
+/// What is seen of the rays of an intermediate image: from where to where, in slices from the front one on.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Ends {
+pub struct Limits {
     width: usize,
-    ks: Vec<f32>,
-    /// By scanline, the first one that a ray in its order meets and the last.
-    rows: Vec<[f32; 2]>,
+    /// By pixel; `from` is infinite where nothing is seen.
+    stretches: Vec<Stretch>,
+    /// By scanline and 64 pixels: the least and the greatest of each.
+    bounds: Vec<[Stretch; 2]>,
 }
 
-impl Ends {
-    /// The inverse warp of the view's depth buffer.
+/// From where to where.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    pub from: f32,
+    pub to: f32,
+}
+
+impl Stretch {
+    const ALL: Self = Self { from: f32::NEG_INFINITY, to: f32::INFINITY };
+}
+
+impl Limits {
+    /// The inverse warp of a depth buffer.
     pub(super) fn new(depth: &SceneDepth, view: &View, volume: &Volume, factorization: &Factorization) -> Self {
         let image_from_sheared = factorization.sheared_from_image.inverse();
         let index_from_world = volume.world_from_index().inverse();
         let axis = factorization.principal_axis;
-        let never = if factorization.reversed { f32::NEG_INFINITY } else { f32::INFINITY };
         let [width, height] = factorization.size;
         let size = DVec2::new(depth.width as f64, depth.height as f64);
-        let k = |u: usize, v: usize| {
+        let stretch = |u: usize, v: usize| {
             let homogeneous = image_from_sheared * DVec3::new(u as f64, v as f64, 1.0);
             if homogeneous.z <= 0.0 {
-                return never;
+                return Stretch::ALL;
             }
             let at = (homogeneous.truncate() / homogeneous.z).clamp(DVec2::ZERO, size);
             let distance = depth.between(at);
             if distance.is_finite() {
                 let ray = view.ray(at);
-                index_from_world.transform_point3(ray.origin + ray.direction * f64::from(distance))[axis] as f32
+                let end = index_from_world.transform_point3(ray.origin + ray.direction * f64::from(distance));
+                Stretch { to: factorization.position(end[axis]) as f32, ..Stretch::ALL }
             } else {
-                never
+                Stretch::ALL
             }
         };
-        let mut ks = vec![never; width * height];
-        let rows = ks.par_chunks_mut(width).enumerate().map(|(v, row)| {
-            row.iter_mut().enumerate().for_each(|(u, end)| *end = k(u, v));
-            let least = row.iter().copied().fold(f32::INFINITY, f32::min);
-            let most = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-            if factorization.reversed { [most, least] } else { [least, most] }
+        let mut stretches = vec![Stretch::ALL; width * height];
+        let bounds = stretches.par_chunks_mut(width).enumerate().flat_map_iter(|(v, row)| {
+            row.iter_mut().enumerate().for_each(|(u, out)| *out = stretch(u, v));
+            row.chunks(WORD).map(bounds).collect::<Vec<_>>()
         });
-        let rows = rows.collect();
-        Self { width, ks, rows }
+        let bounds = bounds.collect();
+        Self { width, stretches, bounds }
     }
 
-    /// Where the ray of pixel (u, v) ends.
+    /// What is seen of the ray of pixel (u, v).
     #[inline(always)]
-    pub fn at(&self, u: usize, v: usize) -> f64 {
-        self.ks[v * self.width + u].into()
+    pub fn at(&self, u: usize, v: usize) -> Stretch {
+        self.stretches[v * self.width + u]
     }
 
-    /// Where the first and the last ray of a scanline end.
-    pub fn of_row(&self, v: usize) -> [f64; 2] {
-        self.rows[v].map(f64::from)
+    /// Of the 64 pixels of `word` of scanline `v`, those of which something is seen between two positions, and those of which
+    /// all is.
+    #[inline(always)]
+    pub fn seen(&self, v: usize, word: usize, [first, last]: [f32; 2]) -> [u64; 2] {
+        let [least, greatest] = self.bounds[v * self.width.div_ceil(WORD) + word];
+        let some = least.from < last && greatest.to > first;
+        let whole = greatest.from <= first && least.to >= last;
+        if !some || whole {
+            return if some { [u64::MAX; 2] } else { [0; 2] };
+        }
+        let row = &self.stretches[v * self.width..][..self.width];
+        let (mut some, mut whole) = (0, 0);
+        for (at, stretch) in row[word * WORD..].iter().take(WORD).enumerate() {
+            some |= u64::from(stretch.from < last && stretch.to > first) << at;
+            whole |= u64::from(stretch.from <= first && stretch.to >= last) << at;
+        }
+        [some, whole]
     }
+}
+
+/// The least and the greatest of some stretches.
+fn bounds(stretches: &[Stretch]) -> [Stretch; 2] {
+    let (mut least, mut greatest) = (stretches[0], stretches[0]);
+    for stretch in stretches {
+        least = Stretch { from: least.from.min(stretch.from), to: least.to.min(stretch.to) };
+        greatest = Stretch { from: greatest.from.max(stretch.from), to: greatest.to.max(stretch.to) };
+    }
+    [least, greatest]
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ use std::ops::Range;
 use glam::{DAffine2, DAffine3, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
-use super::depth::Ends;
+use super::depth::Limits;
 use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
 
@@ -78,8 +78,8 @@ pub struct Factorization {
     pub extent: [DVec2; 2],
     /// What the view clips to, in voxel coordinates.
     clip: Clip,
-    /// Where opaque geometry ends the rays of pixels.
-    ends: Option<Ends>,
+    /// What is seen of the rays of pixels.
+    limits: Option<Limits>,
 }
 
 /// What makes the rays parallel to `k`.
@@ -168,7 +168,7 @@ impl Factorization {
             sheared_from_image: DAffine2::from_cols(vector(dx), vector(dy), start + translation).into(),
             extent: [DVec2::ZERO, first.max(last) + face],
             clip: clip(principal_axis, view, &world_from_index),
-            ends: None,
+            limits: None,
         }
     }
 
@@ -181,6 +181,12 @@ impl Factorization {
     pub fn along(&self, position: f64) -> f64 {
         let front = self.front as f64;
         if self.reversed { front - position } else { front + position }
+    }
+
+    /// [`Self::along`], the other way round.
+    pub fn position(&self, along: f64) -> f64 {
+        let front = self.front as f64;
+        if self.reversed { front - along } else { along - front }
     }
 
     /// How many intervals between slices slice `k` stands for: half of each that it bounds, and all of what
@@ -253,13 +259,13 @@ impl Factorization {
 
     /// With the ends of rays, where the view has opaque geometry: the inverse warp of its depth buffer.
     pub fn ending(mut self, view: &View, volume: &Volume) -> Self {
-        self.ends = view.depth().map(|depth| Ends::new(depth, view, volume, &self));
+        self.limits = view.depth().map(|depth| Limits::new(depth, view, volume, &self));
         self
     }
 
     /// True where the view has clip planes, or geometry that ends rays.
     pub fn is_clipped(&self) -> bool {
-        !self.clip.is_empty() || self.ends.is_some()
+        !self.clip.is_empty() || self.limits.is_some()
     }
 
     /// Voxel coordinates i, j, k of pixel (u, v) of a slice, which may be between two slices of voxels.
@@ -277,18 +283,21 @@ impl Factorization {
         index
     }
 
-    /// The pixels u of scanline `v` that clipping leaves of a slice, which may be between
+    /// The pixels u of scanline `v` that clip planes leave of a slice, which may be between
     /// two slices of voxels.
-    pub fn visible_pixels(&self, v: usize, k: f64) -> Range<usize> {
+    fn visible_pixels(&self, v: usize, k: f64) -> Range<usize> {
         let Lattice { offset, scale } = self.lattice(k);
         let start = DVec3::new(offset.x, offset.y + scale * v as f64, k);
         let [low, high] = self.clip.span(start, DVec3::X * scale, [0.0, (self.size[0] - 1) as f64]);
         if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
     }
 
-    /// Pixels u of scanline `v` of which clip planes and geometry may leave something between two slices (in the order of the walk), and
+    /// Pixels u of scanline `v` of which clip planes may leave something between two slices (in the order of the walk), and
     /// those of which they leave all: what is clipped to is convex.
     pub fn clipped_pixels(&self, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
+        if self.clip.is_empty() {
+            return [0..usize::MAX, 0..usize::MAX];
+        }
         let [a, b] = slices.map(|k| self.visible_pixels(v, k));
         let whole = a.start.max(b.start)..a.end.min(b.end);
         let some = match (a.is_empty(), b.is_empty()) {
@@ -296,19 +305,24 @@ impl Factorization {
             (true, _) => b,
             (_, true) => a,
         };
-        let Some(ends) = &self.ends else { return [some, whole] };
-        let reaches = |end: f64, k: f64| if self.reversed { end <= k } else { end >= k };
-        let [first, last] = ends.of_row(v);
-        [if reaches(last, slices[0]) { some } else { 0..0 }, if reaches(first, slices[1]) { whole } else { 0..0 }]
+        [some, whole]
     }
 
-    /// Where the ray of pixel (u, v) enters and leaves what clip planes and geometry leave between two slices, as fractions
+    /// What is seen of the rays of pixels, where that is not all that clip planes leave.
+    pub fn limits(&self) -> Option<&Limits> {
+        self.limits.as_ref()
+    }
+
+    /// Where the ray of pixel (u, v) enters and leaves what clip planes and limits leave between two slices, as fractions
     /// of the way from the first to the second; the first not below the second where that is nothing.
     pub fn cut(&self, u: usize, v: usize, slices: [f64; 2]) -> [f32; 2] {
         let [from, to] = slices.map(|k| self.voxel_from_sheared(u as f64, v as f64, k));
-        let [enter, mut leave] = self.clip.span(from, to - from, [0.0, 1.0]);
-        if let Some(ends) = &self.ends {
-            leave = f64::min(leave, (ends.at(u, v) - slices[0]) / (slices[1] - slices[0]));
+        let [mut enter, mut leave] = self.clip.span(from, to - from, [0.0, 1.0]);
+        if let Some(limits) = &self.limits {
+            let stretch = limits.at(u, v);
+            let [first, last] = slices.map(|k| self.position(k));
+            enter = enter.max((f64::from(stretch.from) - first) / (last - first));
+            leave = leave.min((f64::from(stretch.to) - first) / (last - first));
         }
         [enter as f32, leave as f32]
     }

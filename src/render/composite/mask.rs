@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use super::{WORD, first_run, run_mask};
+use super::{WORD, below, first_run, run_mask};
 
 /// Pixels of a scanline, 64 a word.
 #[derive(Clone, Debug)]
@@ -100,13 +100,6 @@ impl Mask {
     pub fn copy_from(&mut self, other: &Self) {
         self.words.copy_from_slice(&other.words);
     }
-}
-
-/// The bits of word `at` that stand for pixels below `limit`.
-#[inline(always)]
-fn below(limit: usize, at: usize) -> u64 {
-    let bits = limit.saturating_sub(at * WORD);
-    if bits >= WORD { u64::MAX } else { (1 << bits) - 1 }
 }
 
 /// The runs of set bits in a mask's words, split where words end: first pixel and length (1..=64).

@@ -17,6 +17,7 @@
 //! Everything skipped would have added exact zeros or stood behind an opaque pixel; [`naive`] does
 //! it all the slow way and tests hold both together bit for bit.
 
+mod clipped;
 pub mod cue;
 pub mod footprint;
 pub mod lattice;
@@ -108,6 +109,13 @@ fn over(front: Vec4, sample: Vec4) -> Vec4 {
 #[inline(always)]
 fn run_mask(start: usize, length: usize) -> u64 {
     (u64::MAX >> (WORD - length)) << start
+}
+
+/// The bits of word `at` that stand for pixels below `limit`.
+#[inline(always)]
+fn below(limit: usize, at: usize) -> u64 {
+    let bits = limit.saturating_sub(at * WORD);
+    if bits >= WORD { u64::MAX } else { (1 << bits) - 1 }
 }
 
 /// The first run of set bits in a word that is not zero: its start and its length.

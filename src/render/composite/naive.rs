@@ -3,8 +3,6 @@
 //! Every pixel gathers from its voxels in every slice anew, each looked up, shaded and weighted, and
 //! tests for itself whether it is opaque. The kernel's pixels must be the same bit for bit.
 
-use std::ops::Range;
-
 use glam::Vec4;
 use rayon::prelude::*;
 
@@ -16,6 +14,7 @@ use super::slabs::SlabComposite;
 use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, Weights};
 use crate::classify::preintegration::Slabs;
+use crate::render::depth::Stretch;
 use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
 use crate::render::material::Light;
@@ -55,15 +54,12 @@ impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: b
         let mut pixel = Vec4::ZERO;
         for step in 0..f.slices.len() {
             let k = if f.reversed { f.slices.end - 1 - step } else { f.slices.start + step };
-            let [some, whole] = clipped(f, v, f.interval(k));
-            if !some.contains(&u) {
-                continue;
-            }
+            let Some(whole) = clipped(f, [u, v], f.interval(k)) else { continue };
             let Some(mut sample) = L::on_slice(f, k, [u, v], |i, j| self.color([i, j, k])) else { continue };
             if L::LENGTHS {
                 sample *= opacity_ratio(sample.w, f.relative_length(u, v));
             }
-            if !whole.contains(&u) {
+            if !whole {
                 let [enter, leave] = f.cut(u, v, f.interval(k));
                 sample *= if enter < leave { opacity_ratio(sample.w, leave - enter) } else { 0.0 };
             }
@@ -94,9 +90,16 @@ impl<L, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACT
     }
 }
 
-/// What clip planes leave of a scanline's pixels: something, and all.
-fn clipped(factorization: &Factorization, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
-    if factorization.is_clipped() { factorization.clipped_pixels(v, slices) } else { [0..usize::MAX, 0..usize::MAX] }
+/// Whether clipping leaves all of a pixel's ray between two slices; `None` where it leaves nothing.
+fn clipped(f: &Factorization, [u, v]: [usize; 2], slices: [f64; 2]) -> Option<bool> {
+    let [mut some, mut whole] = f.clipped_pixels(v, slices).map(|pixels| pixels.contains(&u));
+    if let Some(limits) = f.limits() {
+        let Stretch { from, to } = limits.at(u, v);
+        let [first, last] = slices.map(|k| f.position(k) as f32);
+        some &= from < last && to > first;
+        whole &= from <= first && to >= last;
+    }
+    some.then_some(whole)
 }
 
 /// True where a pixel lies on a slice.
@@ -128,8 +131,8 @@ impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S
         let mut pixel = Vec4::ZERO;
         for n in self.slabs() {
             let slab = self.place(n);
-            let [some, whole] = clipped(f, v, slab.ends);
-            if !(slab.pixels.contains(&u) && slab.scanlines.contains(&v) && some.contains(&u)) {
+            let Some(whole) = clipped(f, [u, v], slab.ends) else { continue };
+            if !(slab.pixels.contains(&u) && slab.scanlines.contains(&v)) {
                 continue;
             }
             let [front, back] = [&slab.front, &slab.back].map(|position| {
@@ -137,7 +140,7 @@ impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S
                 sample.with_x(self.table.coordinate(sample.x))
             });
             let length = if L::LENGTHS { f.relative_length(u, v) * slab.share } else { 1.0 };
-            let cut = (!whole.contains(&u)).then(|| f.cut(u, v, slab.ends));
+            let cut = (!whole).then(|| f.cut(u, v, slab.ends));
             let mut sample = self.cut_sample(front, back, length, cut);
             if let Some(cue) = slab.cue {
                 sample = (sample * cue.scanline(v).at(u)).with_w(sample.w);

@@ -11,6 +11,7 @@ use std::ops::Range;
 
 use glam::Vec4;
 
+use super::clipped::ClippedPixels;
 use super::cue::ScanlineCue;
 use super::footprint::Footprint;
 use super::lattice::{Lattice, Scaled};
@@ -36,6 +37,7 @@ pub struct Scratch {
     weights: Vec<f32>,
     sum: Vec<Vec4>,
     pixels: Mask,
+    clipped: ClippedPixels,
     touched: Mask,
     /// Lengths of the band's rays in units of the shortest.
     lengths: Vec<f32>,
@@ -65,6 +67,7 @@ impl VoxelLattice for Scaled {
             weights: vec![],
             sum: vec![Vec4::ZERO; length],
             pixels: Mask::new(factorization.size[0]),
+            clipped: ClippedPixels::default(),
             touched: Mask::new(length),
             lengths: vec![],
         }
@@ -112,16 +115,9 @@ impl VoxelLattice for Scaled {
                 }
             }
             scratch.shade(voxels.source, first, k, material);
-            let whole = match f.is_clipped() {
-                true => {
-                    let [_, whole] = f.clipped_pixels(v, f.interval(k));
-                    whole
-                }
-                false => 0..usize::MAX,
-            };
-            let left = |u| voxels.left(u, v, k, &whole);
+            let left = |u, clipped: &ClippedPixels| if f.is_clipped() { voxels.left(u, v, k, clipped) } else { None };
             let cue = cue.map(|cue| cue.scanline(v));
-            scratch.blend(&mut scanline, row * f.size[0], first, cue, (&whole, left), voxels.opaque);
+            scratch.blend(&mut scanline, row * f.size[0], first, cue, left, voxels.opaque);
         }
     }
 }
@@ -174,8 +170,9 @@ impl Scratch {
         }
         let mut any = self.pixels.keep(scanline.non_opaque, &at.us);
         if any && at.factorization.is_clipped() {
-            let [some, _] = at.factorization.clipped_pixels(at.v, at.factorization.interval(at.k));
-            any = self.pixels.keep(scanline.non_opaque, &some);
+            let f = at.factorization;
+            any = self.clipped.find(f, at.v, f.interval(at.k), scanline.non_opaque)
+                && self.pixels.keep(self.clipped.open(), &at.us);
         }
         if any {
             self.columns.fill(&at.along_u, &at.us);
@@ -225,7 +222,7 @@ impl Scratch {
         lengths: usize,
         first: usize,
         cue: Option<ScanlineCue<'_>>,
-        (whole, left): (&Range<usize>, impl Fn(usize) -> Option<f32>),
+        left: impl Fn(usize, &ClippedPixels) -> Option<f32>,
         opaque: f32,
     ) {
         let count = self.rows.len();
@@ -244,9 +241,7 @@ impl Scratch {
             let pixels = scanline.pixels[u..][..length].iter_mut().zip(&samples).zip(lengths);
             for (at, ((pixel, sample), length)) in pixels.enumerate() {
                 let mut sample = *sample * opacity_ratio(sample.w, *length);
-                if !whole.contains(&(u + at)) {
-                    sample = cut(sample, left(u + at));
-                }
+                sample = cut(sample, left(u + at, &self.clipped));
                 if let Some(cue) = cue {
                     sample = (sample * cue.at(u + at)).with_w(sample.w);
                 }

@@ -24,6 +24,7 @@ use std::ops::Range;
 
 use glam::Vec4;
 
+use super::clipped::ClippedPixels;
 use super::cue::{Cue, ScanlineCue, SliceCue};
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
@@ -65,6 +66,7 @@ pub struct Scratch<R> {
     /// Those over which a slab is inside the volume.
     inside: Mask,
     pixels: Mask,
+    clipped: ClippedPixels,
     fresh: Mask,
     kept: Vec<Kept>,
     buffer: Buffer,
@@ -107,6 +109,7 @@ impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, 
             lengths: vec![],
             inside: Mask::new(width),
             pixels: Mask::new(width),
+            clipped: ClippedPixels::default(),
             fresh: Mask::new(width),
             kept: vec![Kept { slab: 0, pixels: Mask::new(width) }; height],
             buffer: Buffer::new(self.buffer, L::buffer_length(self.factorization), width, height),
@@ -168,8 +171,10 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         for v in slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end) {
             let row = v - band.first;
             let mut scanline = band.scanline(row);
-            let Scratch { front, back, lengths, inside, pixels, fresh, kept, buffer } = &mut *scratch;
-            let Some(whole) = self.find(slab, v, &scanline, inside, pixels) else { continue };
+            let Scratch { front, back, lengths, inside, pixels, clipped, fresh, kept, buffer } = &mut *scratch;
+            if !self.find(slab, v, &scanline, inside, clipped, pixels) {
+                continue;
+            }
             let kept = &mut kept[row];
             let samples = buffer.row(row, [&slab.front, &slab.back].map(|p| L::buffer_base(&p.placement)));
             let missing = if kept.slab + 1 == slab.number {
@@ -185,15 +190,14 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             let out = (&mut *samples.back, samples.back_base);
             L::sample(back, self.voxels, self.table, &slab.back, (&slab.pixels, v), pixels, out);
             let lengths = if L::LENGTHS { &lengths[row * self.factorization.size[0]..] } else { &[] };
-            self.blend(&mut scanline, (v, &whole), slab, pixels, &samples, lengths);
+            self.blend(&mut scanline, (v, clipped), slab, pixels, &samples, lengths);
             samples.keep(pixels);
             kept.slab = slab.number;
             kept.pixels.copy_from(pixels);
         }
     }
 
-    /// Finds the pixels of scanline `v` to work on; `None` where there is none. Gives those, among others, of which clipping leaves
-    /// all of the slab.
+    /// Finds the pixels of scanline `v` to work on; false where there is none.
     #[inline(always)]
     fn find(
         &self,
@@ -201,19 +205,18 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         v: usize,
         scanline: &ScanlineMut<'_>,
         inside: &Mask,
+        clipped: &mut ClippedPixels,
         pixels: &mut Mask,
-    ) -> Option<Range<usize>> {
+    ) -> bool {
         let ends = [&slab.front.placement, &slab.back.placement];
         if !L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels)
             || !pixels.keep_within(scanline.non_opaque, inside)
         {
-            return None;
+            return false;
         }
-        if !self.factorization.is_clipped() {
-            return Some(0..usize::MAX);
-        }
-        let [some, whole] = self.factorization.clipped_pixels(v, slab.ends);
-        pixels.keep(scanline.non_opaque, &some).then_some(whole)
+        !self.factorization.is_clipped()
+            || clipped.find(self.factorization, v, slab.ends, scanline.non_opaque)
+                && pixels.keep(clipped.open(), &(0..usize::MAX))
     }
 
     /// Looks slabs up and blends them behind what is there.
@@ -221,7 +224,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
-        (v, whole): (usize, &Range<usize>),
+        (v, clipped): (usize, &ClippedPixels),
         slab: &Slab<'_, L::Placement>,
         pixels: &Mask,
         samples: &BufferRow<'_>,
@@ -240,7 +243,9 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
                 share: slab.share,
             };
             let opaque = match (lit, cue.is_some()) {
-                _ if u < whole.start || u + length > whole.end => self.blend_cut(run, v, slab, whole),
+                _ if self.factorization.is_clipped() && clipped.cuts(u, length) => {
+                    self.blend_cut(run, v, slab, clipped)
+                }
                 (false, false) => self.blend_run::<false, false>(run),
                 (false, true) => self.blend_run::<false, true>(run),
                 (true, false) => self.blend_run::<true, false>(run),
@@ -269,15 +274,15 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         opaque
     }
 
-    /// Blends consecutive pixels, some of which clip planes cut.
+    /// Blends consecutive pixels, some of which clipping cuts.
     #[inline(never)]
-    fn blend_cut(&self, run: Run<'_>, v: usize, slab: &Slab<'_, L::Placement>, whole: &Range<usize>) -> u64 {
+    fn blend_cut(&self, run: Run<'_>, v: usize, slab: &Slab<'_, L::Placement>, clipped: &ClippedPixels) -> u64 {
         let mut opaque = 0;
         let samples = run.front.iter().zip(run.back);
         for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
             let u = run.u + at;
             let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
-            let cut = (!whole.contains(&u)).then(|| self.factorization.cut(u, v, slab.ends));
+            let cut = clipped.cuts(u, 1).then(|| self.factorization.cut(u, v, slab.ends));
             let mut sample = self.cut_sample(*front, *back, length, cut);
             if let Some(cue) = run.cue {
                 sample = (sample * cue.at(u)).with_w(sample.w);

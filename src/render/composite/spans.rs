@@ -4,11 +4,8 @@
 //! bit i stands for the pixel between voxels i and i + 1: transparent voxels, opaque pixels, what
 //! clip planes cut away. What is left is their intersection.
 
-use std::ops::Range;
-
 use super::rows::RowBuffers;
 use crate::classify::rle::WORD;
-use crate::render::intermediate::ScanlineMut;
 
 /// The pixels to work on, and the voxels that they touch.
 #[derive(Debug)]
@@ -27,19 +24,19 @@ impl Spans {
         Self { length, pixels: vec![0; words], touched: vec![0; words + 1], empty: true }
     }
 
-    /// Pixels that touch a marked voxel and are not opaque. Pixel `first_u` lies on voxel 0 or, where
+    /// Pixels that touch a marked voxel and are open: not opaque, not clipped away. Pixel `first_u` lies on voxel 0 or, where
     /// pixels are `between` voxels, after it.
     #[inline(always)]
-    pub fn find(&mut self, rows: &RowBuffers, scanline: &ScanlineMut<'_>, first_u: usize, between: bool) {
+    pub fn find(&mut self, rows: &RowBuffers, open: &[u64], first_u: usize, between: bool) {
         let (word_u, shift) = (first_u / WORD, first_u % WORD);
-        let non_opaque = |word: usize| scanline.non_opaque.get(word_u + word).copied().unwrap_or(0);
+        let open_word = |word: usize| open.get(word_u + word).copied().unwrap_or(0);
         let mut any = 0;
         for (word, pixels) in self.pixels.iter_mut().enumerate() {
             let marked = rows.marked(word);
             let near = if between { marked | marked >> 1 | rows.marked(word + 1) << (WORD - 1) } else { marked };
-            let mut open = non_opaque(word) >> shift;
+            let mut open = open_word(word) >> shift;
             if shift > 0 {
-                open |= non_opaque(word + 1) << (WORD - shift);
+                open |= open_word(word + 1) << (WORD - shift);
             }
             *pixels = near & open;
             any |= *pixels;
@@ -76,19 +73,6 @@ impl Spans {
         self.touched[last + 1] = if between { carry } else { 0 };
     }
 
-    /// Keeps the pixels u in `visible` only.
-    pub fn clip(&mut self, visible: Range<usize>, first_u: usize) {
-        let (start, end) = (visible.start.saturating_sub(first_u), visible.end.saturating_sub(first_u));
-        let below = |limit: usize, word: usize| {
-            let bits = limit.saturating_sub(word * WORD).min(WORD);
-            if bits == WORD { u64::MAX } else { (1 << bits) - 1 }
-        };
-        for (word, pixels) in self.pixels.iter_mut().enumerate() {
-            *pixels &= below(end, word) & !below(start, word);
-        }
-        self.empty = self.pixels.iter().all(|&pixels| pixels == 0);
-    }
-
     /// True where there is no work.
     #[inline(always)]
     pub fn is_empty(&self) -> bool {
@@ -101,7 +85,7 @@ impl Spans {
         &self.pixels
     }
 
-    /// Voxels that those pixels touch (before clipping), by word.
+    /// Voxels that those pixels touch, by word.
     #[inline(always)]
     pub fn touched(&self) -> &[u64] {
         &self.touched
@@ -111,19 +95,6 @@ impl Spans {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn clipping_keeps_the_pixels_in_the_range() {
-        for (start, end) in [(0, 500), (70, 71), (64, 128), (130, 90), (10, 199), (0, 0)] {
-            let mut spans = Spans::new(150);
-            spans.all(true);
-            spans.clip(start..end, 40);
-            for i in 0..150 {
-                let kept = spans.pixels[i / WORD] >> (i % WORD) & 1 == 1;
-                assert_eq!(kept, i < 149 && (start..end).contains(&(i + 40)), "{start}..{end}: {i}");
-            }
-        }
-    }
 
     #[test]
     fn a_scanline_of_65_voxels_has_a_pixel_after_each_but_the_last() {

@@ -10,10 +10,9 @@
 //! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
 //!    opaque pixel's bit is cleared.
 
-use std::ops::Range;
-
 use glam::Vec4;
 
+use super::clipped::ClippedPixels;
 use super::cue::{Cue, ScanlineCue};
 use super::lattice::{Lattice, Unit};
 use super::rows::RowBuffers;
@@ -86,10 +85,11 @@ impl<L: VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Composite 
 }
 
 impl VoxelLattice for Unit {
-    type Scratch = (RowBuffers, Spans);
+    type Scratch = (RowBuffers, Spans, ClippedPixels);
 
     fn scratch(factorization: &Factorization) -> Self::Scratch {
-        (RowBuffers::new(factorization.dims[0]), Spans::new(factorization.dims[0]))
+        let length = factorization.dims[0];
+        (RowBuffers::new(length), Spans::new(length), ClippedPixels::default())
     }
 
     #[inline(always)]
@@ -100,16 +100,16 @@ impl VoxelLattice for Unit {
         voxels: &Voxels<'_, Self, V, H, FACTORED>,
         band: &mut Band<'_>,
         k: usize,
-        (rows, spans): &mut Self::Scratch,
+        scratch: &mut Self::Scratch,
     ) {
-        voxels.slice(band, k, rows, spans);
+        voxels.slice(band, k, scratch);
     }
 }
 
 impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACTORED> {
     /// One slice into one band.
     #[inline(always)]
-    fn slice(&self, band: &mut Band<'_>, k: usize, rows: &mut RowBuffers, spans: &mut Spans) {
+    fn slice(&self, band: &mut Band<'_>, k: usize, (rows, spans, clipped): &mut <Unit as VoxelLattice>::Scratch) {
         let placement = self.factorization.slice(k);
         let [fraction_u, fraction_v] = placement.fraction;
         let material = self.material.slice(self.factorization.share(k));
@@ -146,10 +146,10 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             }
             rows.enter(self.source, j, &upper, lower.as_ref());
             let mut scanline = band.scanline(row);
-            let mut whole = self.find(spans, rows, &scanline, &placement, [v, k]);
+            self.find(spans, clipped, rows, &scanline, &placement, [v, k]);
             if V::CLASSIFIES && !spans.is_empty() {
                 rows.classify(self.source, &upper, lower.as_ref(), spans);
-                whole = self.find(spans, rows, &scanline, &placement, [v, k]);
+                self.find(spans, clipped, rows, &scanline, &placement, [v, k]);
             }
             if spans.is_empty() {
                 continue;
@@ -159,29 +159,28 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             }
             rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
             let cue = cue.map(|cue| cue.scanline(v));
-            let at = Place { v, k, first_u: placement.first[0], cue, whole };
+            let at = Place { v, k, first_u: placement.first[0], cue, clipped };
             self.blend(&mut scanline, &at, rows, spans, &weights);
         }
     }
 
-    /// Finds the pixels that touch a marked voxel, are not opaque and not clipped away. Gives those, among others, of which
-    /// clipping leaves all of the slice.
+    /// Finds the pixels that touch a marked voxel, are not opaque and not clipped away.
     #[inline(always)]
     fn find(
         &self,
         spans: &mut Spans,
+        clipped: &mut ClippedPixels,
         rows: &RowBuffers,
         scanline: &ScanlineMut<'_>,
         placement: &SlicePlacement,
         [v, k]: [usize; 2],
-    ) -> Range<usize> {
-        spans.find(rows, scanline, placement.first[0], placement.fraction[0] > 0.0);
-        if self.factorization.is_clipped() && !spans.is_empty() {
-            let [some, whole] = self.factorization.clipped_pixels(v, self.factorization.interval(k));
-            spans.clip(some, placement.first[0]);
-            whole
-        } else {
-            0..usize::MAX
+    ) {
+        let (first_u, between) = (placement.first[0], placement.fraction[0] > 0.0);
+        spans.find(rows, scanline.non_opaque, first_u, between);
+        let f = self.factorization;
+        if f.is_clipped() && !spans.is_empty() {
+            clipped.find(f, v, f.interval(k), scanline.non_opaque);
+            spans.find(rows, clipped.open(), first_u, between);
         }
     }
 
@@ -190,7 +189,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
-        &Place { v, k, first_u, cue, ref whole }: &Place<'_>,
+        &Place { v, k, first_u, cue, clipped }: &Place<'_>,
         rows: &RowBuffers,
         spans: &Spans,
         weights: &Weights,
@@ -205,8 +204,8 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 let (upper, lower) = rows.voxels(i, length + 1);
                 let pixels = &mut scanline.pixels[u..u + length];
                 let opaque = match (rows.has_lower(), cue) {
-                    _ if u < whole.start || u + length > whole.end => {
-                        let left = |u| self.left(u, v, k, whole);
+                    _ if self.factorization.is_clipped() && clipped.cuts(u, length) => {
+                        let left = |u| self.left(u, v, k, clipped);
                         blend_cut(pixels, [upper, lower], rows.has_lower(), weights, (cue, u), left, self.opaque)
                     }
                     (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
@@ -223,10 +222,10 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
 }
 
 impl<L, V, H, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
-    /// The share of slice `k` that clip planes leave of pixel (u, v); `whole` are those of which they leave all.
+    /// The share of slice `k` that clipping leaves of pixel (u, v), where that is not all.
     #[inline(never)]
-    pub(super) fn left(&self, u: usize, v: usize, k: usize, whole: &Range<usize>) -> Option<f32> {
-        if whole.contains(&u) {
+    pub(super) fn left(&self, u: usize, v: usize, k: usize, clipped: &ClippedPixels) -> Option<f32> {
+        if !clipped.cuts(u, 1) {
             return None;
         }
         let [enter, leave] = self.factorization.cut(u, v, self.factorization.interval(k));
@@ -241,8 +240,8 @@ struct Place<'a> {
     /// The first pixel that lies on the slice.
     first_u: usize,
     cue: Option<ScanlineCue<'a>>,
-    /// Pixels of which clipping leaves all of the slice.
-    whole: Range<usize>,
+    /// Where the view clips.
+    clipped: &'a ClippedPixels,
 }
 
 /// A sample of which a share is left.
@@ -300,7 +299,7 @@ fn blend_run<const LOWER: bool, const CUED: bool>(
     done
 }
 
-/// The same where clip planes leave a share of some pixels.
+/// The same where clipping leaves a share of some pixels.
 #[inline(never)]
 fn blend_cut(
     pixels: &mut [Vec4],

@@ -235,7 +235,7 @@ impl Pyramid {
             ),
             extent,
             clip: clip(axis.axis, view, &world_from_index),
-            ends: None,
+            limits: None,
         })
     }
 }
