@@ -17,7 +17,7 @@ use glam::{DMat4, DVec2, DVec3, Vec4};
 use rayon::prelude::*;
 
 use crate::render::view::cut;
-use crate::render::{Blend, Cancel, Projection, Ray, RenderError, Scene, Settings, View};
+use crate::render::{Blend, Cancel, Ray, RenderError, Scene, Settings, View};
 use crate::volume::gradient::Code;
 use crate::volume::{Scalars, Volume};
 use composite::Medium;
@@ -131,16 +131,16 @@ impl<'a> Rays<'a> {
     fn stretch<'c>(&self, ray: &Ray, far: f64, cancel: &'c Cancel) -> Option<Stretch<'c>> {
         let start = self.index_from_world.transform_point3(ray.origin);
         let direction = self.index_from_world.transform_vector3(ray.direction);
-        let behind_eye = match self.view.projection() {
-            Projection::Parallel => f64::NEG_INFINITY,
-            Projection::Perspective => 0.0,
-        };
-        let mut span = [behind_eye, far];
+        let mut span = [self.view.nearest(), far];
         for axis in 0..3 {
             span = cut(span, start[axis], direction[axis]);
             span = cut(span, self.last[axis] - start[axis], -direction[axis]);
         }
-        let [enter, leave] = self.view.clip().span(ray.origin, ray.direction, span);
+        let mut span = self.view.clip().span(ray.origin, ray.direction, span);
+        if let Some(layer) = self.view.layer() {
+            span = layer.span(ray.origin, ray.direction, span);
+        }
+        let [enter, leave] = span;
         (enter < leave).then(|| {
             // A length that is a whole number of steps but for rounding takes that number.
             let steps = ((leave - enter) / self.step - 1e-6).ceil().max(1.0);

@@ -120,7 +120,7 @@ fn measure(arguments: &Arguments) -> Result<Report, Failure> {
     }
     progress.finish_and_clear();
 
-    let settings = &stage.resolved.settings;
+    let settings = &stage.resolved.look.settings;
     let (width, height) = stage.resolved.view.size();
     Ok(Report {
         volume,

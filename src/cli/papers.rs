@@ -188,12 +188,12 @@ fn kye(scans: &[Scan], _: &Path) -> Result<String, Failure> {
         .to_owned();
     for scan in scans {
         let usual = stage(&scan.volume, r#"{"algorithm": "preintegrated"}"#)?;
-        let transfer = &usual.resolved.transfer;
+        let transfer = &usual.resolved.look.transfer;
         let mut nowhere_empty = transfer.clone();
         nowhere_empty.points.iter_mut().for_each(|point| point.opacity = point.opacity.max(1e-6));
         let request = format!(
             r#"{{"algorithm": "preintegrated", "shading": {}, "transfer_function": {}}}"#,
-            usual.resolved.settings.shading.is_some(),
+            usual.resolved.look.settings.shading.is_some(),
             serde_json::to_string(&nowhere_empty).expect("numbers and strings")
         );
         let angles = (0..360).step_by(10);

@@ -88,7 +88,7 @@ impl Arguments {
 
     fn animate(&self, stage: &Stage, frames: u32) -> Result<(), Failure> {
         let mut file = BufWriter::new(File::create(&self.output).map_err(|error| self.failed(&error))?);
-        let channels = stage.resolved.settings.background.channels() as u8;
+        let channels = stage.resolved.look.settings.background.channels() as u8;
         let mut animation = Animation::start(&mut file, stage.resolved.view.size(), channels, frames, FRAME_DELAY)
             .map_err(|error| self.failed(&error))?;
         for (_, degrees) in turns(frames) {

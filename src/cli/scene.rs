@@ -9,9 +9,9 @@ use clap::{Arg, ArgMatches, Args, Command};
 use indicatif::ProgressBar;
 use shearwarp::classify::presets::FittedPresets;
 use shearwarp::classify::{Classification, Encodings};
-use shearwarp::render::{self, Cancel, Image, Scene, Timings, View};
+use shearwarp::render::{Cancel, Image, Scene, Timings, View};
 use shearwarp::service;
-use shearwarp::service::request::{ImageLimits, Kind, OPTIONS, RenderRequest, RequestError, ResolvedRequest};
+use shearwarp::service::request::{ImageLimits, Kind, Look, OPTIONS, RenderRequest, RequestError, ResolvedRequest};
 use shearwarp::volume::decode::{self, Limits, RawLayout};
 use shearwarp::volume::{PreparedVolume, Volume, phantom, pyramid};
 
@@ -144,6 +144,8 @@ pub struct Stage {
     pub prepared: PreparedVolume,
     /// What the algorithm walks, where it is not the ray caster.
     pub classified: Option<Classified>,
+    /// The same for each region that shows something.
+    of_regions: Vec<Option<Classified>>,
     pub request: RenderRequest,
     /// The request before any turn.
     pub resolved: ResolvedRequest,
@@ -158,11 +160,11 @@ pub struct Classified {
 }
 
 impl Classified {
-    fn build(prepared: &PreparedVolume, resolved: &ResolvedRequest) -> Option<Self> {
-        let transfer = &resolved.transfer;
-        let classification = Classification::build(prepared, transfer, resolved.purpose()?);
+    fn build(prepared: &PreparedVolume, look: &Look) -> Option<Self> {
+        let transfer = &look.transfer;
+        let classification = Classification::build(prepared, transfer, look.purpose()?);
         let start = Instant::now();
-        let encodings = resolved.walks_encodings().then(|| Encodings::build(prepared, transfer, &classification));
+        let encodings = look.walks_encodings().then(|| Encodings::build(prepared, transfer, &classification));
         Some(Self { classification, encodings: encodings.map(|encodings| (encodings, start.elapsed())) })
     }
 
@@ -188,9 +190,11 @@ impl Stage {
         let level = if resolved.level() == 0 { volume.clone() } else { pyramid::coarser(&volume) };
         let prepared = PreparedVolume::build(level);
         progress.set_message("run-length encodings");
-        let classified = Classified::build(&prepared, &resolved);
+        let mut looks = resolved.looks().map(|look| Classified::build(&prepared, look));
+        let classified = looks.next().flatten();
+        let of_regions = looks.collect();
         progress.finish_and_clear();
-        Ok(Self { volume, prepared, classified, request, resolved })
+        Ok(Self { volume, prepared, classified, of_regions, request, resolved })
     }
 
     /// The view with the camera turned by `degrees` about the vertical axis.
@@ -201,14 +205,18 @@ impl Stage {
 
     /// The frame of a view.
     pub fn frame(&self, view: &View) -> Result<(Image, Timings), Failure> {
-        let scene = Scene {
-            prepared: &self.prepared,
-            transfer: &self.resolved.transfer,
-            classification: self.classified.as_ref().map(|c| &c.classification),
-            encodings: self.classified.as_ref().and_then(|c| c.encodings.as_ref()).map(|(encodings, _)| encodings),
-        };
-        render::render(&scene, view, &self.resolved.settings, &Cancel::default())
-            .map_err(|error| Failure::Usage(error.to_string()))
+        let scenes: Vec<_> = self
+            .resolved
+            .looks()
+            .zip([&self.classified].into_iter().chain(&self.of_regions))
+            .map(|(look, classified)| Scene {
+                prepared: &self.prepared,
+                transfer: &look.transfer,
+                classification: classified.as_ref().map(|c| &c.classification),
+                encodings: classified.as_ref().and_then(|c| c.encodings.as_ref()).map(|(encodings, _)| encodings),
+            })
+            .collect();
+        self.resolved.render(view, &scenes, &Cancel::default()).map_err(|error| Failure::Usage(error.to_string()))
     }
 }
 

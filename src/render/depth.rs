@@ -12,7 +12,7 @@
 
 use std::fmt;
 
-use glam::{DMat4, DVec2, DVec3};
+use glam::{DMat3, DMat4, DVec2, DVec3};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -133,38 +133,24 @@ pub struct Stretch {
 
 impl Stretch {
     const ALL: Self = Self { from: f32::NEG_INFINITY, to: f32::INFINITY };
+    pub(super) const NOTHING: Self = Self { from: f32::INFINITY, to: f32::NEG_INFINITY };
 }
 
 impl Limits {
-    /// The inverse warp of a depth buffer.
-    pub(super) fn new(depth: &SceneDepth, view: &View, volume: &Volume, factorization: &Factorization) -> Self {
-        let image_from_sheared = factorization.sheared_from_image.inverse();
-        let index_from_world = volume.world_from_index().inverse();
-        let axis = factorization.principal_axis;
-        let [width, height] = factorization.size;
-        let size = DVec2::new(depth.width as f64, depth.height as f64);
-        let stretch = |u: usize, v: usize| {
-            let homogeneous = image_from_sheared * DVec3::new(u as f64, v as f64, 1.0);
-            if homogeneous.z <= 0.0 {
-                return Stretch::ALL;
-            }
-            let at = (homogeneous.truncate() / homogeneous.z).clamp(DVec2::ZERO, size);
-            let distance = depth.between(at);
-            if distance.is_finite() {
-                let ray = view.ray(at);
-                let end = index_from_world.transform_point3(ray.origin + ray.direction * f64::from(distance));
-                Stretch { to: factorization.position(end[axis]) as f32, ..Stretch::ALL }
-            } else {
-                Stretch::ALL
-            }
-        };
-        let mut stretches = vec![Stretch::ALL; width * height];
+    /// What scanlines see, told by a function that fills one: v, and pixels that are [`Stretch::NOTHING`].
+    pub(super) fn new([width, height]: [usize; 2], scanline: impl Fn(usize, &mut [Stretch]) + Sync) -> Self {
+        let mut stretches = vec![Stretch::NOTHING; width * height];
         let bounds = stretches.par_chunks_mut(width).enumerate().flat_map_iter(|(v, row)| {
-            row.iter_mut().enumerate().for_each(|(u, out)| *out = stretch(u, v));
+            scanline(v, row);
             row.chunks(WORD).map(bounds).collect::<Vec<_>>()
         });
         let bounds = bounds.collect();
         Self { width, stretches, bounds }
+    }
+
+    /// True where nothing is seen at all.
+    pub(super) fn is_empty(&self) -> bool {
+        self.bounds.iter().all(|[least, greatest]| least.from == f32::INFINITY && greatest.to == f32::NEG_INFINITY)
     }
 
     /// What is seen of the ray of pixel (u, v).
@@ -190,6 +176,56 @@ impl Limits {
             whole |= u64::from(stretch.from <= first && stretch.to >= last) << at;
         }
         [some, whole]
+    }
+}
+
+/// The inverse warp of a depth buffer: what of it the pixels of an intermediate image meet.
+pub(super) struct InverseWarp<'a> {
+    depth: &'a SceneDepth,
+    view: &'a View,
+    factorization: &'a Factorization,
+    image_from_sheared: DMat3,
+    index_from_world: DMat4,
+    size: DVec2,
+}
+
+impl<'a> InverseWarp<'a> {
+    /// `None` where the view has no depth buffer.
+    pub fn of(view: &'a View, volume: &Volume, factorization: &'a Factorization) -> Option<Self> {
+        let depth = view.depth()?;
+        Some(Self {
+            depth,
+            view,
+            factorization,
+            image_from_sheared: factorization.sheared_from_image.inverse(),
+            index_from_world: volume.world_from_index().inverse(),
+            size: DVec2::new(depth.width as f64, depth.height as f64),
+        })
+    }
+
+    /// Where the ray of pixel (u, v) ends, in slices from the front one on; infinite where it goes on.
+    pub fn end(&self, u: usize, v: usize) -> f64 {
+        let homogeneous = self.image_from_sheared * DVec3::new(u as f64, v as f64, 1.0);
+        if homogeneous.z <= 0.0 {
+            return f64::INFINITY;
+        }
+        let at = (homogeneous.truncate() / homogeneous.z).clamp(DVec2::ZERO, self.size);
+        let distance = self.depth.between(at);
+        if !distance.is_finite() {
+            return f64::INFINITY;
+        }
+        let ray = self.view.ray(at);
+        let end = self.index_from_world.transform_point3(ray.origin + ray.direction * f64::from(distance));
+        self.factorization.position(end[self.factorization.principal_axis])
+    }
+
+    /// What is seen in front of it.
+    pub fn limits(&self) -> Limits {
+        Limits::new(self.factorization.size, |v, row| {
+            for (u, stretch) in row.iter_mut().enumerate() {
+                *stretch = Stretch { to: self.end(u, v) as f32, ..Stretch::ALL };
+            }
+        })
     }
 }
 

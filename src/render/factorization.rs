@@ -257,13 +257,13 @@ impl Factorization {
         if self.reversed { [high, low] } else { [low, high] }
     }
 
-    /// With the ends of rays, where the view has opaque geometry: the inverse warp of its depth buffer.
-    pub fn ending(mut self, view: &View, volume: &Volume) -> Self {
-        self.limits = view.depth().map(|depth| Limits::new(depth, view, volume, &self));
+    /// With what is seen of the rays of pixels.
+    pub(super) fn limited(mut self, limits: Option<Limits>) -> Self {
+        self.limits = limits;
         self
     }
 
-    /// True where the view has clip planes, or geometry that ends rays.
+    /// True where the view has clip planes, or limits of rays.
     pub fn is_clipped(&self) -> bool {
         !self.clip.is_empty() || self.limits.is_some()
     }
@@ -333,6 +333,12 @@ impl Factorization {
             Shear::Parallel { .. } => None,
             Shear::Perspective { eye, .. } => Some(eye),
         }
+    }
+
+    /// World mm from voxel coordinates i, j, k.
+    pub(super) fn world_from_voxel(&self, volume: &Volume) -> DAffine3 {
+        let translation = volume.world_from_index().col(3).truncate();
+        DAffine3 { matrix3: self.world_from_steps(volume), translation }
     }
 
     /// From a voxel to the next along i, j, k, world mm.

@@ -1,6 +1,7 @@
 //! Premultiplied floating-point pixels -> 8-bit [`Image`].
 
 use glam::Vec4;
+use rayon::prelude::*;
 
 use super::Background;
 
@@ -93,9 +94,18 @@ fn scale(color: Vec4) -> Vec4 {
     color.clamp(Vec4::ZERO, Vec4::ONE) * 255.0 + Vec4::splat(8_388_608.0)
 }
 
+/// An image of premultiplied pixels.
+pub(super) fn write(pixels: &[Vec4], background: &Background, width: u32, height: u32) -> Image {
+    let channels = background.channels();
+    let mut bytes = vec![0; pixels.len() * channels];
+    let rows = bytes.par_chunks_mut(width as usize * channels).zip(pixels.par_chunks(width as usize));
+    rows.for_each(|(out, row)| write_row(row, background, out));
+    Image { width, height, channels: channels as u8, pixels: bytes }
+}
+
 /// Writes a row of premultiplied pixels.
 #[inline(always)]
-pub(super) fn write_row(pixels: &[Vec4], background: &Background, out: &mut [u8]) {
+fn write_row(pixels: &[Vec4], background: &Background, out: &mut [u8]) {
     match background {
         Background::Transparent => {
             for (pixel, out) in pixels.iter().zip(out.chunks_exact_mut(4)) {

@@ -124,6 +124,13 @@ impl IntermediateImage {
         Self { size, behind, pixels, drawn: vec![0..0; height] }
     }
 
+    /// An image that shows nothing.
+    pub fn blank(size: [usize; 2]) -> Self {
+        let mut image = Self::new(size, Vec4::ZERO);
+        image.pixels.fill([0; 4]);
+        image
+    }
+
     /// Pixels along u and v.
     pub fn size(&self) -> [usize; 2] {
         self.size
@@ -143,6 +150,37 @@ impl IntermediateImage {
             drawn = drawn.start.min(start)..drawn.end.max(end);
         }
         drawn
+    }
+
+    /// How opaque pixel (u, v) is, 0..1; with an image of its own behind it, how opaque both are.
+    pub fn opacity(&self, u: usize, v: usize) -> f32 {
+        f32::from(self.pixels[v * self.size[0] + u][3]) / f32::from(ONE)
+    }
+
+    /// Puts an image of the same size behind this one; neither has anything behind it yet.
+    pub fn put_behind(&mut self, back: &Self) {
+        let [width, height] = self.size;
+        let backs = back.pixels.par_chunks(width).zip(&back.drawn);
+        let fronts = self.pixels[..width * height].par_chunks_mut(width).zip(&mut self.drawn);
+        fronts.zip(backs).for_each(|((front, drawn), (back, behind))| {
+            for (front, back) in front[behind.clone()].iter_mut().zip(&back[behind.clone()]) {
+                put_over(front, *back);
+            }
+            if drawn.start == drawn.end {
+                *drawn = behind.clone();
+            } else if behind.start < behind.end {
+                *drawn = drawn.start.min(behind.start)..drawn.end.max(behind.end);
+            }
+        });
+    }
+
+    /// Puts a premultiplied pixel behind all of it.
+    pub fn put_over(&mut self, behind: Vec4) {
+        let ([width, height], ground) = (self.size, fixed(&[behind])[0]);
+        self.behind = behind;
+        self.pixels[..width * height]
+            .par_chunks_mut(width)
+            .for_each(|row| row.iter_mut().for_each(|pixel| put_over(pixel, ground)));
     }
 
     /// Bytes in memory.
@@ -228,6 +266,16 @@ impl Strip<'_> {
             }
         }
         buffer.open = false;
+    }
+}
+
+/// A pixel over another.
+#[inline(always)]
+fn put_over(front: &mut Fixed, back: Fixed) {
+    const WHOLE: i32 = ONE as i32;
+    let through = WHOLE - i32::from(front[3]);
+    for (front, back) in front.iter_mut().zip(back) {
+        *front += ((i32::from(back) * through + WHOLE / 2) / WHOLE) as i16;
     }
 }
 

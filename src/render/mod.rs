@@ -8,6 +8,7 @@ pub mod intermediate;
 pub mod lighting;
 pub mod material;
 pub mod ray_light;
+pub mod regions;
 pub mod shade;
 mod shear_image;
 mod shear_warp;
@@ -19,8 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use glam::DVec3;
-use rayon::prelude::*;
+use glam::{DVec3, Vec4};
 
 use crate::classify::{Classification, Encodings, TransferFunction};
 use crate::raycast::raycast;
@@ -337,26 +337,18 @@ pub struct Scene<'a> {
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
 pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    match settings.way() {
-        Way::ImageOrder | Way::ShearImage => Ok(()),
-        Way::ShearWarp => Factorization::parts(view, volume).map(|_| ()),
-    }
-}
-
-/// Which renderer makes a frame.
-enum Way {
-    ImageOrder,
-    ShearImage,
-    ShearWarp,
+    if settings.is_warped() { Factorization::parts(view, volume).map(drop) } else { Ok(()) }
 }
 
 impl Settings {
-    fn way(&self) -> Way {
-        match (self.algorithm, self.blend, self.quality) {
-            (Algorithm::Raycast, ..) => Way::ImageOrder,
-            (_, Blend::Projection(..), _) | (Algorithm::Preintegrated, _, Quality::High) => Way::ShearImage,
-            _ => Way::ShearWarp,
-        }
+    /// Whether frames are warped from an intermediate image; if not, every pixel has a ray of its own.
+    fn is_warped(&self) -> bool {
+        self.blend == Blend::Composite
+            && match self.algorithm {
+                Algorithm::Classified | Algorithm::FastClassification => true,
+                Algorithm::Preintegrated => self.quality != Quality::High,
+                Algorithm::Raycast => false,
+            }
     }
 }
 
@@ -371,28 +363,21 @@ pub fn render(
     settings: &Settings,
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
-    match settings.way() {
-        Way::ImageOrder => reference(scene, view, settings, cancel),
-        Way::ShearImage => shear_image::frame(scene, view, settings, cancel),
-        Way::ShearWarp => shear_warp::frame(scene, view, settings, cancel),
-    }
+    regions::render_with_regions(scene, view, settings, &[], cancel)
 }
 
-/// A frame by the ray caster.
-fn reference(
+/// The pixels of a frame's rays, premultiplied: as the ray caster makes them, or else in shear-image order.
+fn rays(
     scene: &Scene<'_>,
     view: &View,
     settings: &Settings,
     cancel: &Cancel,
-) -> Result<(Image, Timings), RenderError> {
+) -> Result<(Vec<Vec4>, Timings), RenderError> {
+    if settings.algorithm != Algorithm::Raycast {
+        return shear_image::rays(scene, view, settings, cancel);
+    }
     let start = Instant::now();
     let rays = raycast(scene, view, settings, cancel)?;
-    let composite = start.elapsed();
-    let (width, height) = view.size();
-    let channels = settings.background.channels();
-    let mut pixels = vec![0; rays.len() * channels];
-    let rows = pixels.par_chunks_mut(width as usize * channels).zip(rays.par_chunks(width as usize));
-    rows.for_each(|(out, row)| image::write_row(row, &settings.background, out));
-    let timings = Timings { composite, render: start.elapsed(), ..Timings::default() };
-    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+    let took = start.elapsed();
+    Ok((rays, Timings { composite: took, render: took, ..Timings::default() }))
 }

@@ -5,11 +5,15 @@ mod voxels;
 
 use std::time::{Duration, Instant};
 
+use glam::Vec4;
+
 use super::composite::cue::Cue;
 use super::composite::{Composite, naive};
+use super::depth::InverseWarp;
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::ray_light::RayLight;
+use super::regions::{self, Layers, Region};
 use super::shade::ShadingTable;
 use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
 use crate::classify::Classification;
@@ -20,25 +24,21 @@ pub(super) fn frame(
     scene: &Scene<'_>,
     view: &View,
     settings: &Settings,
+    regions: &[Region<'_>],
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
     let start = Instant::now();
 
     // Factor the view into shear and warp; a wide perspective view part by part.
-    let volume = scene.prepared.volume();
-    let parts: Vec<_> = Factorization::parts(view, volume)?.into_iter().map(|part| part.ending(view, volume)).collect();
+    let parts = Factorization::parts(view, scene.prepared.volume())?;
 
     // Shear, resample and composite the slices into an intermediate image for each part.
-    let (mut shade, mut tables) = (start.elapsed(), Duration::ZERO);
+    let mut timings = Timings { shade: start.elapsed(), ..Timings::default() };
     let mut images = vec![];
     for factorization in &parts {
-        let begun = Instant::now();
-        let (image, Begun { at, preintegration_table }) = part(scene, view, factorization, settings, cancel)?;
-        images.push(image);
-        shade += at - begun - preintegration_table;
-        tables += preintegration_table;
+        images.push(part(scene, view, factorization, settings, regions, &mut timings, cancel)?);
     }
-    let composite = start.elapsed();
+    let composited = start.elapsed();
 
     // Warp the intermediate images into the final one.
     let (width, height) = view.size();
@@ -47,10 +47,10 @@ pub(super) fn frame(
     let parts: Vec<_> =
         parts.iter().zip(&images).map(|(factorization, image)| warp::Part { factorization, image }).collect();
     warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
-    let render = start.elapsed();
 
-    let (composite, warp) = (composite - shade - tables, render - composite);
-    let timings = Timings { preintegration_table: tables, shade, composite, warp, render };
+    timings.render = start.elapsed();
+    timings.composite = composited - timings.shade - timings.preintegration_table;
+    timings.warp = timings.render - composited;
     Ok((Image { width, height, channels: channels as u8, pixels }, timings))
 }
 
@@ -60,8 +60,50 @@ fn part(
     view: &View,
     factorization: &Factorization,
     settings: &Settings,
+    regions: &[Region<'_>],
+    timings: &mut Timings,
     cancel: &Cancel,
-) -> Result<(IntermediateImage, Begun), RenderError> {
+) -> Result<IntermediateImage, RenderError> {
+    let volume = scene.prepared.volume();
+    let behind = settings.background.behind();
+    let depth = InverseWarp::of(view, volume, factorization);
+    if regions.is_empty() {
+        let limited = factorization.clone().limited(depth.map(|depth| depth.limits()));
+        return layer(scene, view, &limited, settings, behind, timings, cancel);
+    }
+
+    // Where regions look otherwise, layer behind layer, in this image already: a ray's pieces are blended before
+    // rays are.
+    let shapes: Vec<_> = regions.iter().map(|region| region.shape.clone()).collect();
+    let layers = Layers::new(volume, factorization, depth.as_ref(), &shapes);
+    let mut image = IntermediateImage::blank(factorization.size);
+    for which in layers.which() {
+        let Some((scene, settings)) = regions::shown(which, (scene, settings), regions) else { continue };
+        let begun = Instant::now();
+        let limits = layers.limits(which, &image, settings.early_ray_termination);
+        timings.shade += begun.elapsed();
+        if limits.is_empty() {
+            continue;
+        }
+        let limited = factorization.clone().limited(Some(limits));
+        image.put_behind(&layer(scene, view, &limited, settings, Vec4::ZERO, timings, cancel)?);
+    }
+    image.put_over(behind);
+    Ok(image)
+}
+
+/// The intermediate image of what a factorization's limits leave, over a premultiplied pixel.
+fn layer(
+    scene: &Scene<'_>,
+    view: &View,
+    factorization: &Factorization,
+    settings: &Settings,
+    behind: Vec4,
+    timings: &mut Timings,
+    cancel: &Cancel,
+) -> Result<IntermediateImage, RenderError> {
+    let start = Instant::now();
+
     // Make the tables that depend on the view: light by normal (in perspective there is none, for
     // every ray has its own), fading by depth, and, in the pass, opacity and colour by code or by
     // pairs of them.
@@ -84,12 +126,14 @@ fn part(
         settings,
         cancel,
     };
-    let mut image = IntermediateImage::new(factorization.size, settings.background.behind());
-    let begun = match settings.algorithm {
+    let mut image = IntermediateImage::new(factorization.size, behind);
+    let Begun { at, preintegration_table } = match settings.algorithm {
         Algorithm::Preintegrated => pass.slabs(&mut image),
         _ => pass.voxels(&mut image),
     }?;
-    Ok((image, begun))
+    timings.shade += at - start - preintegration_table;
+    timings.preintegration_table += preintegration_table;
+    Ok(image)
 }
 
 /// What compositing takes from the frame, whatever its type parameters.

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3, DVec4};
 
 use super::depth::SceneDepth;
+use super::regions::Layer;
 
 /// How a client tells where it looks from.
 #[derive(Clone, Debug, PartialEq)]
@@ -113,6 +114,13 @@ pub struct HalfSpace {
     pub offset: f64,
 }
 
+impl HalfSpace {
+    /// The other half.
+    pub fn other(&self) -> Self {
+        Self { normal: -self.normal, offset: -self.offset }
+    }
+}
+
 /// What of a span has `distance + t rate >= 0`; it ends before it begins where that is nothing.
 #[inline(always)]
 pub fn cut([enter, leave]: [f64; 2], distance: f64, rate: f64) -> [f64; 2] {
@@ -212,6 +220,8 @@ pub struct View {
     clip: Clip,
     /// Opaque geometry.
     depth: Option<Arc<SceneDepth>>,
+    /// Which pieces of the rays are meant, where not all are.
+    layer: Option<Arc<Layer>>,
 }
 
 /// Rays, linear in the pixel coordinates; world mm.
@@ -300,7 +310,7 @@ impl View {
             Projection::Parallel => Rays::Parallel { corner: eye + corner, dx, dy, direction: forward },
             Projection::Perspective => Rays::Perspective { eye, corner: forward + corner, dx, dy },
         };
-        Self { width, height, rays, forward, clip: Clip::default(), depth: None }
+        Self { width, height, rays, forward, clip: Clip::default(), depth: None, layer: None }
     }
 
     fn from_matrices(view: &DMat4, projection: &DMat4, width: u32, height: u32) -> Result<Self, ViewError> {
@@ -354,7 +364,7 @@ impl View {
         let (z, w) = (clip_from_world.row(2), clip_from_world.row(3));
         let halves = [w + z, w - z].map(|p| HalfSpace { normal: p.truncate(), offset: p.w }).to_vec();
         let clip = Clip { halves, balls: vec![] };
-        Ok(Self { width, height, rays, forward, clip, depth: None })
+        Ok(Self { width, height, rays, forward, clip, depth: None, layer: None })
     }
 
     /// Pixels across and down.
@@ -393,6 +403,17 @@ impl View {
         self
     }
 
+    /// The same view of some pieces of its rays.
+    pub(super) fn of_layer(mut self, layer: Arc<Layer>) -> Self {
+        self.layer = Some(layer);
+        self
+    }
+
+    /// Which pieces of the rays are meant, where not all are.
+    pub fn layer(&self) -> Option<&Layer> {
+        self.layer.as_deref()
+    }
+
     /// Where rays end at opaque geometry, if there is any.
     pub fn depth(&self) -> Option<&Arc<SceneDepth>> {
         self.depth.as_ref()
@@ -401,6 +422,14 @@ impl View {
     /// What is seen must lie inside.
     pub fn clip(&self) -> &Clip {
         &self.clip
+    }
+
+    /// Where rays begin, mm from their origins: under parallel projection all is in front of the viewer.
+    pub fn nearest(&self) -> f64 {
+        match self.projection() {
+            Projection::Parallel => f64::NEG_INFINITY,
+            Projection::Perspective => 0.0,
+        }
     }
 
     /// The ray through pixel coordinates `at`.

@@ -26,7 +26,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::cache_folder::CacheFolder;
 use super::metrics;
 use super::render_pool::{PoolError, RenderPool, Ticket};
-use super::request::ResolvedRequest;
+use super::request::Look;
 use super::store::LoadedVolume;
 use crate::classify::{Classification, Encodings, Purpose, TransferFunction};
 
@@ -43,9 +43,9 @@ pub struct ClassifiedKey {
 }
 
 impl ClassifiedKey {
-    /// What a frame needs; `None`: nothing classified.
-    pub fn of(frame: &ResolvedRequest) -> Option<Self> {
-        frame.purpose().map(|purpose| Self { level: frame.level(), transfer: frame.transfer.clone(), purpose })
+    /// What a look needs; `None`: nothing classified.
+    pub fn of(look: &Look) -> Option<Self> {
+        look.purpose().map(|purpose| Self { level: look.level(), transfer: look.transfer.clone(), purpose })
     }
 
     /// The whole content, not a hash of it: hashes can be made to collide by whoever sends transfer

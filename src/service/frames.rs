@@ -168,7 +168,7 @@ impl Asked {
         if let Some(picture) = picture {
             made_from += &format!(" {:032x}", xxh3_128(&picture.pixels));
             // Its pixels are the background.
-            self.frame.settings.background = Background::Transparent;
+            self.frame.look.settings.background = Background::Transparent;
             self.picture = Some(Arc::new(picture));
         }
         self.etag = format!("\"{:032x}\"", xxh3_128(made_from.as_bytes()));
@@ -177,7 +177,7 @@ impl Asked {
 
     /// The algorithm that it is made by.
     pub fn algorithm(&self) -> &'static str {
-        self.frame.settings.algorithm.name()
+        self.frame.look.settings.algorithm.name()
     }
 
     /// The format of its bytes.
@@ -214,24 +214,32 @@ impl Asked {
 
     async fn make(&self, app: &App, ticket: &Ticket) -> Result<Made, Problem> {
         let start = Instant::now();
-        let classified = match ClassifiedKey::of(&self.frame) {
-            None => None,
-            Some(made_from) => {
-                let encoded = self.frame.walks_encodings();
-                Some(app.store.classified.get(ticket, &self.volume, made_from, encoded).await?)
-            }
-        };
+        let mut classified = vec![];
+        for look in self.frame.looks() {
+            classified.push(match ClassifiedKey::of(look) {
+                None => None,
+                Some(made_from) => {
+                    let encoded = look.walks_encodings();
+                    Some(app.store.classified.get(ticket, &self.volume, made_from, encoded).await?)
+                }
+            });
+        }
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
         let picture = self.picture.clone();
         let job = move |cancel: &render::Cancel| {
-            let scene = Scene {
-                prepared: volume.level(frame.level()),
-                transfer: &frame.transfer,
-                classification: classified.as_ref().map(|c| &*c.classification),
-                encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
-            };
-            let (image, stages) = render::render(&scene, &frame.view, &frame.settings, cancel)?;
+            let prepared = volume.level(frame.level());
+            let scenes: Vec<_> = frame
+                .looks()
+                .zip(&classified)
+                .map(|(look, classified)| Scene {
+                    prepared,
+                    transfer: &look.transfer,
+                    classification: classified.as_ref().map(|c| &*c.classification),
+                    encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
+                })
+                .collect();
+            let (image, stages) = frame.render(&frame.view, &scenes, cancel)?;
             let image = match &picture {
                 None => image,
                 Some(picture) => image.over(picture),

@@ -159,7 +159,7 @@ async fn warm_up(app: &App, volume: &Arc<LoadedVolume>) -> Result<(), String> {
         let resolved = RenderRequest::from_json(request.as_bytes())
             .and_then(|request| request.resolve(volume.volume(), &volume.presets, &app.config.image.limits()))
             .map_err(|error| error.to_string())?;
-        wanted.extend(ClassifiedKey::of(&resolved).filter(|made_from| !wanted.contains(made_from)));
+        wanted.extend(ClassifiedKey::of(&resolved.look).filter(|made_from| !wanted.contains(made_from)));
     }
     let ticket = app.pool.own_work();
     for made_from in wanted {

@@ -23,7 +23,7 @@ use crate::encode::Format;
 use crate::render::{Background, Camera, Clip, DepthCueing, IntensityProjection, Preintegration, Quality, Shading};
 use fields::WindowFields;
 pub use options::{Kind, OPTIONS, RequestOption};
-pub use resolve::{ImageLimits, ResolvedRequest};
+pub use resolve::{ImageLimits, Look, ResolvedRequest};
 
 /// Why there is no request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -102,9 +102,25 @@ pub struct RenderRequest {
     window: WindowFields,
     preintegration: Preintegration,
     depth_cueing: Option<DepthCueing>,
-    /// What is left, world mm.
+    /// What is left, world mm, but for what is cut out.
     clip: Clip,
+    cut_out: Vec<Clip>,
+    /// Of two that hold a point the later one is meant.
+    regions: Vec<RegionRequest>,
     spelling: Spelling,
+}
+
+/// What is shown in another way within a convex region. What is not told is as around.
+#[derive(Clone, Debug, PartialEq)]
+struct RegionRequest {
+    /// World mm.
+    shape: Clip,
+    transfer: Option<Transfer>,
+    /// Factor of the transfer function's opacities.
+    opacity: f64,
+    shading: Option<ShadingChoice>,
+    projection: Option<IntensityProjection>,
+    window: Option<WindowFields>,
 }
 
 impl RenderRequest {
@@ -332,14 +348,35 @@ mod tests {
             (r#"{"clip": [{}]}"#, "/clip/0"),
             (r#"{"clip": [{"cone": {}}]}"#, "/clip/0/cone"),
             (r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 0}}]}"#, "/clip/0/sphere/radius"),
-            (r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "keep": "outside"}]}"#, "/clip/0/keep"),
+            (r#"{"regions": [{}]}"#, "/regions/0"),
+            (r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "color": 1}]}"#, "/regions/0/color"),
+            (r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "opacity": 2}]}"#, "/regions/0/opacity"),
+            (
+                r#"{"algorithm": "classified", "regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "blend": "maximum"}]}"#,
+                "/regions/0/blend",
+            ),
+            (
+                r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "window": {"center": 3}}]}"#,
+                "/regions/0/window",
+            ),
+            (
+                r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "shading": {"lights": ["sun"]}}]}"#,
+                "/regions/0/shading/lights/0",
+            ),
+            (
+                r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "shading": {"diffuse": -1}}]}"#,
+                "/regions/0/shading/diffuse",
+            ),
+            (
+                r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "transfer_function": {"points": []}}]}"#,
+                "/regions/0/transfer_function/points",
+            ),
             (
                 r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 1, 1], "pose": [2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}}]}"#,
                 "/clip/0/box/pose",
             ),
             (r#"{"clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}}]}"#, "/clip/0/plane/normal"),
             (r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 0, 1]}}]}"#, "/clip/0/box/max/1"),
-            (r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 1, 1]}, "keep": "outside"}]}"#, "/clip/0/keep"),
             (
                 r#"{"clip": [{"box": {"min": [0, 0, 0], "max": [1, 1, 1]}, "plane": {"point": [0, 0, 0], "normal": [0, 0, 1]}}]}"#,
                 "/clip/0",
@@ -350,6 +387,8 @@ mod tests {
         for (text, pointer) in cases {
             assert_eq!(refused(json(text)), [pointer], "{text}");
         }
+        let five = [r#"{"sphere": {"center": [0, 0, 0], "radius": 3}}"#; 5].join(", ");
+        assert_eq!(refused(json(&format!(r#"{{"regions": [{five}]}}"#))), ["/regions"]);
         let nine = format!(r#"{{"shading": {{"lights": {:?}}}}}"#, ["headlight"; 9]);
         assert_eq!(refused(json(&nine)), ["/shading/lights"]);
     }

@@ -38,6 +38,41 @@ async fn the_frame_shows_the_volume_and_not_one_colour() {
     assert!(brightness(16, 16) > 20, "{}", brightness(16, 16));
 }
 
+/// The ball of radius 8 in the middle of 24 mm, from in front.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_region_looks_otherwise_and_what_is_cut_out_is_gone() {
+    let service = Running::start("").await;
+    let frame = async |fields: &str| {
+        let body = format!(
+            r##"{{"image": {{"width": 33, "height": 33, "format": "raw", "background": "transparent"}}, "shading": false,
+            "transfer_function": {{"points": [{{"value": 0, "opacity": 0, "color": "#ff0000"}},
+                {{"value": 100, "opacity": 0.9, "color": "#ff0000"}}]}}{fields}}}"##
+        );
+        let response = service.post("/v1/volumes/ball/frame", &body).await;
+        assert_eq!(response.status(), 200);
+        response.bytes().await.unwrap()
+    };
+    let at = |pixels: &[u8], x: usize, y: usize| <[u8; 4]>::try_from(&pixels[4 * (33 * y + x)..][..4]).unwrap();
+    let sphere = r#"{"sphere": {"center": [11.5, 11.5, 11.5], "radius": 9}"#;
+    let whole = frame("").await;
+    assert_eq!(at(&whole, 16, 16)[..3], [255, 0, 0]);
+    // Green where the region is, which is nearly everywhere; the upper half as before.
+    let points = r##"{"points": [{"value": 0, "opacity": 0, "color": "#00ff00"}, {"value": 100, "opacity": 0.9, "color": "#00ff00"}]}"##;
+    let lower = format!(
+        r#", "regions": [{{"plane": {{"point": [0, 0, 11.5], "normal": [0, 0, -1]}}, "transfer_function": {points}}}]"#
+    );
+    let pixels = frame(&lower).await;
+    assert_eq!(at(&pixels, 16, 12)[..3], [255, 0, 0]);
+    assert_eq!(at(&pixels, 16, 20)[..3], [0, 255, 0]);
+    let faint = frame(&format!(r#", "regions": [{sphere}, "opacity": 0.01}}]"#)).await;
+    assert!((1..100).contains(&at(&faint, 16, 16)[3]));
+    let gray = frame(&format!(r#", "regions": [{sphere}, "blend": "maximum"}}]"#)).await;
+    let [r, g, b, a] = at(&gray, 16, 16);
+    assert!(r > 200 && r == g && g == b && a == 255);
+    let gone = frame(&format!(r#", "clip": [{sphere}, "keep": "outside"}}], "regions": [{sphere}}}]"#)).await;
+    assert!(gone.chunks(4).all(|pixel| pixel[3] == 0));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn one_request_gives_the_same_bytes_by_query_by_body_and_again() {
     let service = Running::start("").await;

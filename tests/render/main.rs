@@ -11,6 +11,7 @@ mod layering;
 mod perspective;
 mod projections;
 mod ramp;
+mod regions;
 mod scenes;
 mod shear_image;
 mod slabs;

@@ -34,12 +34,7 @@ impl Prepared {
     }
 
     pub fn frame(&self, view: &View, settings: &Settings) -> Image {
-        let (classification, encodings) = match settings.algorithm {
-            Algorithm::Classified | Algorithm::FastClassification => &self.classified[0],
-            Algorithm::Preintegrated | Algorithm::Raycast => &self.classified[1],
-        };
-        let encodings = (settings.algorithm != Algorithm::FastClassification).then_some(encodings);
-        self.frame_with(classification, encodings, view, settings)
+        render(&self.scene(settings.algorithm, true), view, settings, &Cancel::default()).unwrap().0
     }
 
     /// The ray caster's pixels before they are rounded to 8 bits.
@@ -68,6 +63,20 @@ impl Prepared {
             encodings,
         };
         render(&scene, view, settings, &Cancel::default()).unwrap().0
+    }
+
+    /// What an algorithm walks; without encodings if told so.
+    pub fn scene(&self, algorithm: Algorithm, encoded: bool) -> Scene<'_> {
+        let (classification, encodings) = match algorithm {
+            Algorithm::Classified | Algorithm::FastClassification => &self.classified[0],
+            Algorithm::Preintegrated | Algorithm::Raycast => &self.classified[1],
+        };
+        Scene {
+            prepared: &self.prepared,
+            transfer: &self.transfer,
+            classification: Some(classification),
+            encodings: (encoded && algorithm != Algorithm::FastClassification).then_some(encodings),
+        }
     }
 }
 

@@ -19,7 +19,7 @@ use super::{Frame, Pixels};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::lighting::Lighting;
-use crate::render::{DepthCueing, Image, Lookup, OpacityCorrection, RenderError, Scene, SlabTable, Timings};
+use crate::render::{DepthCueing, Lookup, OpacityCorrection, RenderError, Scene, SlabTable, Timings};
 use crate::volume::gradient::{Code, GradientFrame};
 use crate::volume::scanlines::Scanlines;
 
@@ -29,7 +29,7 @@ pub(super) fn frame<T: Code>(
     scanlines: [Scanlines<'_, T>; 3],
     scene: &Scene<'_>,
     frame: &Frame<'_>,
-) -> Result<(Image, Timings), RenderError> {
+) -> Result<(Vec<Vec4>, Timings), RenderError> {
     let settings = frame.settings;
     let classification = scene.classification.expect("pre-integration needs a classification");
     let tables = classification.slabs().expect("the classification is of slabs");
@@ -109,7 +109,7 @@ struct Walk<'a, T> {
 
 impl<T: Code> Walk<'_, T> {
     /// Chooses the kernel's type parameters.
-    fn render<S: Slabs>(&self, frame: &Frame<'_>, table: S, scaled: bool) -> Result<(Image, Timings), RenderError> {
+    fn render<S: Slabs>(&self, frame: &Frame<'_>, table: S, scaled: bool) -> Result<(Vec<Vec4>, Timings), RenderError> {
         match (self.lighting.is_some(), scaled) {
             (false, false) => frame.render(&Composite::<T, S, false, false> { walk: self, table }),
             (false, true) => frame.render(&Composite::<T, S, false, true> { walk: self, table }),

@@ -37,7 +37,7 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::simd::{self, Kernel};
-use super::{Cancel, Image, RenderError, Scene, Settings, Timings, View, image};
+use super::{Cancel, RenderError, Scene, Settings, Timings, View};
 use crate::render::Blend;
 use crate::volume::Scalars;
 use crate::volume::gradient::Code;
@@ -57,16 +57,16 @@ trait Pixels: Sync {
     fn pixels(&self, tile: &[Packet], buffers: &mut Self::Buffers, out: &mut [[Vec4; LANES]]);
 }
 
-/// A frame in shear-image order.
+/// A frame in shear-image order: its rays' pixels, premultiplied.
 ///
 /// # Errors
 /// [`RenderError::Cancelled`].
-pub(super) fn frame(
+pub(super) fn rays(
     scene: &Scene<'_>,
     view: &View,
     settings: &Settings,
     cancel: &Cancel,
-) -> Result<(Image, Timings), RenderError> {
+) -> Result<(Vec<Vec4>, Timings), RenderError> {
     let prepared = scene.prepared;
     match (prepared.volume().scalars(), [0, 1, 2].map(|axis| prepared.scanlines(axis))) {
         (Scalars::U8(codes), [AnyScanlines::U8(x), AnyScanlines::U8(y), AnyScanlines::U8(z)]) => {
@@ -86,7 +86,7 @@ fn of_codes<T: Code>(
     view: &View,
     settings: &Settings,
     cancel: &Cancel,
-) -> Result<(Image, Timings), RenderError> {
+) -> Result<(Vec<Vec4>, Timings), RenderError> {
     let start = Instant::now();
     let rays = IndexRays::new(view, scene.prepared.volume());
     let frame = Frame { rays: &rays, settings, cancel, start };
@@ -107,25 +107,15 @@ struct Frame<'a> {
 
 impl Frame<'_> {
     /// Fills the image, band by band.
-    fn render<P: Pixels>(&self, pixels: &P) -> Result<(Image, Timings), RenderError> {
-        let start = self.start.elapsed();
+    fn render<P: Pixels>(&self, pixels: &P) -> Result<(Vec<Vec4>, Timings), RenderError> {
+        let begun = self.start.elapsed();
         let (width, height) = self.rays.size;
-        let background = &self.settings.background;
-        let row_bytes = width * background.channels();
-        let mut out = vec![0; row_bytes * height];
-        out.par_chunks_mut(row_bytes * BAND_HEIGHT).enumerate().try_for_each(|(band, out)| {
-            let rows = out.len() / row_bytes;
-            let band = Band { pixels, frame: self, first: band * BAND_HEIGHT, rows };
-            let colors = simd::dispatch(band)?;
-            for (out, row) in out.chunks_exact_mut(row_bytes).zip(colors.chunks_exact(width)) {
-                image::write_row(row, background, out);
-            }
-            Ok(())
-        })?;
+        let mut out = vec![Vec4::ZERO; width * height];
+        out.par_chunks_mut(width * BAND_HEIGHT)
+            .enumerate()
+            .try_for_each(|(band, out)| simd::dispatch(Band { pixels, frame: self, first: band * BAND_HEIGHT, out }))?;
         let render = self.start.elapsed();
-        let timings = Timings { composite: render - start, render, ..Timings::default() };
-        let (width, height) = (width as u32, height as u32);
-        Ok((Image { width, height, channels: background.channels() as u8, pixels: out }, timings))
+        Ok((out, Timings { composite: render - begun, render, ..Timings::default() }))
     }
 }
 
@@ -134,16 +124,16 @@ struct Band<'a, P> {
     pixels: &'a P,
     frame: &'a Frame<'a>,
     first: usize,
-    rows: usize,
+    /// All zero.
+    out: &'a mut [Vec4],
 }
 
 impl<P: Pixels> Kernel for Band<'_, P> {
-    type Output = Result<Vec<Vec4>, RenderError>;
+    type Output = Result<(), RenderError>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
         let (width, _) = self.frame.rays.size;
-        let mut colors = vec![Vec4::ZERO; width * self.rows];
         let mut buffers = P::Buffers::default();
         let (mut rows, mut packets) = (Vec::with_capacity(BAND_HEIGHT), Vec::with_capacity(BAND_HEIGHT));
         for x in (0..width).step_by(LANES) {
@@ -155,7 +145,7 @@ impl<P: Pixels> Kernel for Band<'_, P> {
             for part in self.parts(x, lanes) {
                 rows.clear();
                 packets.clear();
-                for row in 0..self.rows {
+                for row in 0..self.rows() {
                     let mut first = 0;
                     while first < lanes {
                         let end = self.frame.rays.part_end(x, self.first + row, first, lanes);
@@ -172,19 +162,24 @@ impl<P: Pixels> Kernel for Band<'_, P> {
                 self.pixels.pixels(&packets, &mut buffers, &mut pixels[..packets.len()]);
                 for ((packet, row), pixels) in packets.iter().zip(&rows).zip(&pixels) {
                     let (first, last) = packet.lanes;
-                    colors[row * width + x..][first..=last].copy_from_slice(&pixels[first..=last]);
+                    self.out[row * width + x..][first..=last].copy_from_slice(&pixels[first..=last]);
                 }
             }
         }
-        Ok(colors)
+        Ok(())
     }
 }
 
 impl<P> Band<'_, P> {
+    /// How many there are.
+    fn rows(&self) -> usize {
+        self.out.len() / self.frame.rays.size.0
+    }
+
     /// The parts of the view that `lanes` columns from `x` on have pixels of.
     fn parts(&self, x: usize, lanes: usize) -> Vec<(usize, bool)> {
         let rays = self.frame.rays;
-        let corners = [0, lanes - 1].map(|lane| [0, self.rows - 1].map(|row| rays.part(x + lane, self.first + row)));
+        let corners = [0, lanes - 1].map(|lane| [0, self.rows() - 1].map(|row| rays.part(x + lane, self.first + row)));
         let here = corners[0][0];
         // The directions of one part are a convex cone: where all corners are in it, all are.
         if corners.as_flattened().iter().all(|part| *part == here) {

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DVec3};
 
 use crate::render::depth::SceneDepth;
+use crate::render::regions::Layer;
 use crate::render::view::{Clip, HalfSpace, Rays, View, cut};
 use crate::volume::Volume;
 
@@ -44,6 +45,8 @@ pub struct IndexRays {
     world_from_index: DMat4,
     /// What rays must stay within, besides the box of voxels.
     clip: Clip,
+    /// Which pieces of the rays are meant.
+    layer: Option<Layer>,
     /// Opaque geometry that ends rays.
     scene: Option<Arc<SceneDepth>>,
     /// Depth 0..1 through the bounding sphere along the camera's axis: `normal . p + offset`.
@@ -102,6 +105,7 @@ impl IndexRays {
             dy: vector(dy),
             world_from_index,
             clip: view.clip().told_by(DAffine3::from_mat4(world_from_index)),
+            layer: view.layer().map(|layer| layer.told_by(DAffine3::from_mat4(world_from_index))),
             scene: view.depth().cloned(),
             depth: in_index(&depth),
         }
@@ -221,7 +225,8 @@ impl IndexRays {
             span = cut(span, start[axis], step[axis]);
             span = cut(span, (self.dims[axis] - 1) as f64 - start[axis], -step[axis]);
         }
-        self.clip.span(start, step, span)
+        let span = self.clip.span(start, step, span);
+        self.layer.as_ref().map_or(span, |layer| layer.span(start, step, span))
     }
 }
 

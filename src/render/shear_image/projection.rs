@@ -11,7 +11,7 @@ use super::packet::{LANES, Lanes, Packet};
 use super::sampler::Sampler;
 use super::skip::Skip;
 use super::{Frame, Pixels};
-use crate::render::{Image, IntensityProjection, RenderError, Scene, Timings, Window};
+use crate::render::{IntensityProjection, RenderError, Scene, Timings, Window};
 use crate::volume::gradient::Code;
 use crate::volume::octree::{MinMaxOctree, Range};
 
@@ -22,7 +22,7 @@ pub(super) fn frame<T: Code>(
     frame: &Frame<'_>,
     which: IntensityProjection,
     window: Window,
-) -> Result<(Image, Timings), RenderError> {
+) -> Result<(Vec<Vec4>, Timings), RenderError> {
     let volume = scene.prepared.volume();
     let (slope, intercept) = volume.rescale();
     let black = window.center - window.width / 2.0;

@@ -7,12 +7,14 @@ use std::ops::{Bound, RangeBounds, RangeInclusive};
 use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 
 use super::fields::{
-    Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, ImageFields, Keep, LightName,
-    LookAtFields, MatricesFields, PlaneFields, PreintegrationFields, ShadingFields, WindowFields,
+    Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, ImageFields, Keep, LightFields,
+    LightName, LookAtFields, MatricesFields, PlaneFields, PreintegrationFields, RegionFields, ShadingFields,
+    SphereFields, WindowFields,
 };
-use super::{AlgorithmChoice, InvalidField, RenderRequest, ShadingChoice, Spelling, Transfer};
+use super::{AlgorithmChoice, InvalidField, RegionRequest, RenderRequest, ShadingChoice, Spelling, Transfer};
 use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
+use crate::render::regions::MAX_REGIONS;
 use crate::render::{
     Background, Ball, Camera, Clip, DepthCueing, HalfSpace, IntensityProjection, Light, LookAt, Orbit, Preintegration,
     Projection, Quality, Shading, SlabTable,
@@ -49,6 +51,10 @@ const SAMPLES_PER_VOXEL: RangeInclusive<f64> = 1.0..=8.0;
 const RADIUS: RangeInclusive<f64> = 1e-3..=1e9;
 /// Regions that cut something away; a box is six half-spaces.
 const MAX_CLIP: usize = 16;
+/// Regions that look otherwise. Pieces of rays within and between them are drawn layer by layer.
+const MAX_SHOWN_REGIONS: usize = 4;
+const _: () = assert!(MAX_CLIP + MAX_SHOWN_REGIONS <= MAX_REGIONS);
+const REGION_OPACITY: RangeInclusive<f64> = 0.0..=1.0;
 const DEFAULT_SIDE: u32 = 512;
 
 pub const NO_AZIMUTH: &str = "expected an orbit camera: frames around the vertical axis start from its azimuth";
@@ -62,15 +68,17 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     refusals.options_of_algorithms(&fields);
     let camera = refusals.camera(&fields.camera);
     let (width, height, format, background) = refusals.image(&fields.image);
-    let transfer = refusals.transfer(fields.transfer_function);
-    let shading = refusals.shading(fields.shading);
+    let transfer = refusals.transfer("", fields.transfer_function);
+    let shading = refusals.shading("", fields.shading);
     refusals.range("/early_ray_termination", fields.early_ray_termination, EARLY_RAY_TERMINATION);
     refusals.range("/min_opacity", fields.min_opacity, MIN_OPACITY);
     refusals.range("/sample_distance", fields.sample_distance, SAMPLE_DISTANCE);
-    let (projection, window) = refusals.blend(fields.blend, fields.window);
+    let projection = projection(fields.blend.unwrap_or(Blend::Composite));
+    let window = refusals.window("", projection, fields.window);
     let preintegration = refusals.preintegration(fields.quality, fields.preintegration.as_ref());
     let depth_cueing = fields.depth_cueing.as_ref().map(|cueing| refusals.depth_cueing(cueing));
-    let clip = refusals.clip(fields.clip.unwrap_or_default());
+    let (clip, cut_out) = refusals.clip(fields.clip.unwrap_or_default());
+    let regions = refusals.regions(fields.regions.unwrap_or_default(), projection, fields.algorithm);
     let request = RenderRequest {
         camera,
         width,
@@ -89,6 +97,8 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
         preintegration,
         depth_cueing,
         clip,
+        cut_out,
+        regions,
         spelling: Spelling::Json,
     };
     if refusals.0.is_empty() { Ok(request) } else { Err(refusals.0) }
@@ -107,6 +117,16 @@ pub fn fit(format: Format, width: u32, height: u32, alpha: bool) -> Result<(), I
         };
         InvalidField { pointer: pointer.into(), detail: unfit.to_string() }
     })
+}
+
+/// What a blend projects; `None`: it composites.
+fn projection(blend: Blend) -> Option<IntensityProjection> {
+    match blend {
+        Blend::Composite => None,
+        Blend::Maximum => Some(IntensityProjection::Maximum),
+        Blend::Minimum => Some(IntensityProjection::Minimum),
+        Blend::Average => Some(IntensityProjection::Average),
+    }
 }
 
 /// What was wrong so far.
@@ -254,20 +274,21 @@ impl Refusals {
         (width, height, format, background)
     }
 
-    fn transfer(&mut self, transfer: Option<Either<String, TransferFunction>>) -> Transfer {
+    /// `place` is a pointer to what holds the transfer function; here and below.
+    fn transfer(&mut self, place: &str, transfer: Option<Either<String, TransferFunction>>) -> Transfer {
         match transfer {
             None => Transfer::Automatic,
             Some(Either::Short(name)) => Transfer::Preset(name),
             Some(Either::Full(transfer)) => {
                 for field in transfer.validate() {
-                    self.refuse(format!("/transfer_function{}", field.pointer), field.detail);
+                    self.refuse(format!("{place}/transfer_function{}", field.pointer), field.detail);
                 }
                 Transfer::Given(transfer)
             }
         }
     }
 
-    fn shading(&mut self, shading: Option<Either<bool, ShadingFields>>) -> ShadingChoice {
+    fn shading(&mut self, place: &str, shading: Option<Either<bool, ShadingFields>>) -> ShadingChoice {
         let fields = match shading {
             None => return ShadingChoice::Automatic,
             Some(Either::Short(false)) => return ShadingChoice::Off,
@@ -275,15 +296,17 @@ impl Refusals {
             Some(Either::Full(fields)) => fields,
         };
         let default = Shading::default();
-        self.range("/shading/ambient", fields.ambient, COEFFICIENT);
-        self.range("/shading/diffuse", fields.diffuse, COEFFICIENT);
-        self.range("/shading/specular", fields.specular, COEFFICIENT);
-        self.range("/shading/shininess", fields.shininess, SHININESS);
+        self.range(format!("{place}/shading/ambient"), fields.ambient, COEFFICIENT);
+        self.range(format!("{place}/shading/diffuse"), fields.diffuse, COEFFICIENT);
+        self.range(format!("{place}/shading/specular"), fields.specular, COEFFICIENT);
+        self.range(format!("{place}/shading/shininess"), fields.shininess, SHININESS);
         let lights = fields.lights.map_or(default.lights, |lights| {
             if lights.len() > MAX_LIGHTS {
-                self.refuse("/shading/lights", format!("expected at most {MAX_LIGHTS} lights, got {}", lights.len()));
+                let detail = format!("expected at most {MAX_LIGHTS} lights, got {}", lights.len());
+                self.refuse(format!("{place}/shading/lights"), detail);
             }
-            lights.iter().enumerate().map(|(index, light)| self.light(index, light)).collect()
+            let light = |(index, light)| self.light(&format!("{place}/shading/lights/{index}"), light);
+            lights.iter().enumerate().map(light).collect()
         });
         ShadingChoice::On(Shading {
             ambient: fields.ambient.unwrap_or(default.ambient),
@@ -294,12 +317,11 @@ impl Refusals {
         })
     }
 
-    fn light(&mut self, index: usize, light: &Either<LightName, super::fields::LightFields>) -> Light {
+    fn light(&mut self, pointer: &str, light: &Either<LightName, LightFields>) -> Light {
         let light = match light {
             Either::Short(LightName::Headlight) => return Light::Headlight,
             Either::Full(light) => light,
         };
-        let pointer = format!("/shading/lights/{index}");
         self.range(format!("{pointer}/intensity"), light.intensity, COEFFICIENT);
         let direction = self.vector(&format!("{pointer}/direction"), light.direction).try_normalize();
         if direction.is_none() {
@@ -308,24 +330,19 @@ impl Refusals {
         Light::Directional { direction: direction.unwrap_or(DVec3::Z), intensity: light.intensity.unwrap_or(1.0) }
     }
 
-    fn blend(
+    fn window(
         &mut self,
-        blend: Option<Blend>,
+        place: &str,
+        projection: Option<IntensityProjection>,
         window: Option<WindowFields>,
-    ) -> (Option<IntensityProjection>, WindowFields) {
-        let projection = match blend {
-            None | Some(Blend::Composite) => None,
-            Some(Blend::Maximum) => Some(IntensityProjection::Maximum),
-            Some(Blend::Minimum) => Some(IntensityProjection::Minimum),
-            Some(Blend::Average) => Some(IntensityProjection::Average),
-        };
+    ) -> WindowFields {
         if projection.is_none() && window.is_some() {
-            self.refuse("/window", "belongs to the blends maximum, minimum and average");
+            self.refuse(format!("{place}/window"), "belongs to the blends maximum, minimum and average");
         }
         let window = window.unwrap_or_default();
-        self.range("/window/center", window.center, WINDOW_CENTER);
-        self.range("/window/width", window.width, WINDOW_WIDTH);
-        (projection, window)
+        self.range(format!("{place}/window/center"), window.center, WINDOW_CENTER);
+        self.range(format!("{place}/window/width"), window.width, WINDOW_WIDTH);
+        window
     }
 
     fn depth_cueing(&mut self, fields: &DepthCueingFields) -> DepthCueing {
@@ -334,42 +351,92 @@ impl Refusals {
         DepthCueing { front: fields.front.unwrap_or(1.0), density: fields.density.unwrap_or(1.0) }
     }
 
-    /// What is left.
-    fn clip(&mut self, regions: Vec<ClipFields>) -> Clip {
+    /// What is left, all of which is within it, and what is cut out of that.
+    fn clip(&mut self, regions: Vec<ClipFields>) -> (Clip, Vec<Clip>) {
         if regions.len() > MAX_CLIP {
             self.refuse("/clip", format!("expected at most {MAX_CLIP} regions, got {}", regions.len()));
         }
-        let mut clip = Clip::default();
+        let (mut left, mut cut_out) = (Clip::default(), vec![]);
         for (index, region) in regions.into_iter().enumerate() {
-            let pointer = format!("/clip/{index}");
-            let keep = region.keep.unwrap_or_default();
-            if keep == Keep::Outside && region.plane.is_none() {
-                self.refuse(
-                    format!("{pointer}/keep"),
-                    "the outside of what is no plane is not supported by this version",
-                );
-            }
-            match (region.plane, region.r#box, region.sphere) {
-                (Some(plane), None, None) => clip.halves.push(self.plane(&pointer, &plane, keep)),
-                (None, Some(region), None) => clip.halves.extend(self.sides(&pointer, &region)),
-                (None, None, Some(sphere)) => {
-                    let centre = self.vector(&format!("{pointer}/sphere/center"), sphere.center);
-                    self.range(format!("{pointer}/sphere/radius"), Some(sphere.radius), RADIUS);
-                    clip.balls.push(Ball::new(centre, sphere.radius));
+            let outside = region.keep == Some(Keep::Outside);
+            let is_plane = region.plane.is_some();
+            let shape = self.convex(&format!("/clip/{index}"), region.plane, region.r#box, region.sphere);
+            match (outside, is_plane) {
+                (false, _) => {
+                    left.halves.extend(shape.halves);
+                    left.balls.extend(shape.balls);
                 }
-                _ => self.refuse(pointer, "expected one of plane, box and sphere"),
+                // All that is not in one half is in the other.
+                (true, true) => left.halves.extend(shape.halves.iter().map(HalfSpace::other)),
+                (true, false) => cut_out.push(shape),
             }
         }
-        clip
+        (left, cut_out)
     }
 
-    fn plane(&mut self, pointer: &str, plane: &PlaneFields, keep: Keep) -> HalfSpace {
+    /// What is shown in another way; the frame itself is of `around`.
+    fn regions(
+        &mut self,
+        regions: Vec<RegionFields>,
+        around: Option<IntensityProjection>,
+        algorithm: AlgorithmChoice,
+    ) -> Vec<RegionRequest> {
+        // What they have classified is of no use to a frame of rays, as all are where one projects.
+        let of_voxels = matches!(algorithm, AlgorithmChoice::Classified | AlgorithmChoice::FastClassification);
+        if regions.len() > MAX_SHOWN_REGIONS {
+            self.refuse("/regions", format!("expected at most {MAX_SHOWN_REGIONS} regions, got {}", regions.len()));
+        }
+        let region = |(index, region): (usize, RegionFields)| {
+            let place = format!("/regions/{index}");
+            self.range(format!("{place}/opacity"), region.opacity, REGION_OPACITY);
+            if region.blend.is_some() && of_voxels {
+                self.refuse(format!("{place}/blend"), "goes with preintegrated and raycast");
+            }
+            RegionRequest {
+                shape: self.convex(&place, region.plane, region.r#box, region.sphere),
+                transfer: region.transfer_function.map(|transfer| self.transfer(&place, Some(transfer))),
+                opacity: region.opacity.unwrap_or(1.0),
+                shading: region.shading.map(|shading| self.shading(&place, Some(shading))),
+                projection: region.blend.map_or(around, projection),
+                window: region
+                    .window
+                    .map(|window| self.window(&place, region.blend.and_then(projection), Some(window))),
+            }
+        };
+        regions.into_iter().enumerate().map(region).collect()
+    }
+
+    /// A convex part of the world; `place` points to what tells it.
+    fn convex(
+        &mut self,
+        place: &str,
+        plane: Option<PlaneFields>,
+        r#box: Option<BoxFields>,
+        sphere: Option<SphereFields>,
+    ) -> Clip {
+        match (plane, r#box, sphere) {
+            (Some(plane), None, None) => Clip { halves: vec![self.plane(place, &plane)], balls: vec![] },
+            (None, Some(fields), None) => Clip { halves: self.sides(place, &fields), balls: vec![] },
+            (None, None, Some(sphere)) => {
+                let centre = self.vector(&format!("{place}/sphere/center"), sphere.center);
+                self.range(format!("{place}/sphere/radius"), Some(sphere.radius), RADIUS);
+                Clip { halves: vec![], balls: vec![Ball::new(centre, sphere.radius)] }
+            }
+            _ => {
+                self.refuse(place, "expected one of plane, box and sphere");
+                Clip::default()
+            }
+        }
+    }
+
+    /// The half that the normal points into.
+    fn plane(&mut self, pointer: &str, plane: &PlaneFields) -> HalfSpace {
         let point = self.vector(&format!("{pointer}/plane/point"), plane.point);
         let normal = self.vector(&format!("{pointer}/plane/normal"), plane.normal).try_normalize();
         if normal.is_none() {
             self.refuse(format!("{pointer}/plane/normal"), "expected a direction of length above 0");
         }
-        let inwards = normal.unwrap_or(DVec3::Z) * if keep == Keep::Inside { 1.0 } else { -1.0 };
+        let inwards = normal.unwrap_or(DVec3::Z);
         HalfSpace { normal: inwards, offset: -inwards.dot(point) }
     }
 

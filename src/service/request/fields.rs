@@ -26,6 +26,7 @@ pub struct Fields {
     pub sample_distance: Option<f64>,
     pub depth_cueing: Option<DepthCueingFields>,
     pub clip: Option<Vec<ClipFields>>,
+    pub regions: Option<Vec<RegionFields>>,
     pub preintegration: Option<PreintegrationFields>,
 }
 
@@ -139,6 +140,21 @@ pub struct ClipFields {
     pub r#box: Option<BoxFields>,
     pub sphere: Option<SphereFields>,
     pub keep: Option<Keep>,
+}
+
+/// A convex region, and what is shown in another way there.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RegionFields {
+    pub plane: Option<PlaneFields>,
+    pub r#box: Option<BoxFields>,
+    pub sphere: Option<SphereFields>,
+    pub transfer_function: Option<Either<String, TransferFunction>>,
+    /// Factor of the transfer function's opacities.
+    pub opacity: Option<f64>,
+    pub shading: Option<Either<bool, ShadingFields>>,
+    pub blend: Option<Blend>,
+    pub window: Option<WindowFields>,
 }
 
 #[derive(serde::Deserialize)]

@@ -1,11 +1,14 @@
 //! [`RenderRequest`] + volume -> what the renderer takes, with every default filled in.
 
-use super::{AlgorithmChoice, InvalidField, RenderRequest, RequestError, ShadingChoice, Transfer};
+use super::fields::WindowFields;
+use super::{AlgorithmChoice, InvalidField, RegionRequest, RenderRequest, RequestError, ShadingChoice, Transfer};
 use crate::classify::presets::{self, FittedPresets};
 use crate::classify::{Purpose, TransferFunction};
 use crate::encode::Format;
+use crate::render::regions::{Region, render_with_regions};
 use crate::render::{
-    self, Algorithm, Blend, BufferSlice, Preintegration, Quality, RenderError, Settings, Shading, View, Window,
+    self, Algorithm, Blend, BufferSlice, Cancel, Clip, Image, Preintegration, Quality, RenderError, Scene, Settings,
+    Shading, Timings, View, Window,
 };
 use crate::volume::Volume;
 
@@ -25,13 +28,31 @@ pub struct ImageLimits {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResolvedRequest {
     pub view: View,
+    /// Of the volume; of its background too.
+    pub look: Look,
+    /// Where it looks otherwise, in order: of two that hold a point the later one is meant.
+    pub regions: Vec<RegionLook>,
+    /// `None`: the request leaves it open.
+    pub format: Option<Format>,
+}
+
+/// How the volume, or a part of it, looks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Look {
     pub settings: Settings,
     /// Its `opacity_distance` is told.
     pub transfer: TransferFunction,
     /// Voxels at or below it count as transparent (for [`Algorithm::Classified`]).
     pub min_opacity: f64,
-    /// `None`: the request leaves it open.
-    pub format: Option<Format>,
+}
+
+/// How the volume looks within a convex part of the world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RegionLook {
+    /// World mm.
+    pub shape: Clip,
+    /// `None`: nothing is there. Algorithm, quality and level are the frame's.
+    pub look: Option<Look>,
 }
 
 impl RenderRequest {
@@ -68,17 +89,46 @@ impl RenderRequest {
     ) -> Result<ResolvedRequest, RequestError> {
         self.keep_to(limits)?;
         let view = self.view(volume)?;
-        let (mut transfer, shaded) = self.transfer(presets)?;
+        let look = self.look(volume, presets, None)?;
+        render::check(volume, &view, &look.settings).map_err(refused)?;
+        let shown = self.regions.iter().enumerate().map(|(index, region)| {
+            let look = self.look(volume, presets, Some((index, region)))?;
+            render::check(volume, &view, &look.settings).map_err(refused)?;
+            Ok(RegionLook { shape: region.shape.clone(), look: Some(look) })
+        });
+        // What is cut out stays so, whatever is to be shown there.
+        let cut_out = self.cut_out.iter().map(|shape| Ok(RegionLook { shape: shape.clone(), look: None }));
+        let regions = shown.chain(cut_out).collect::<Result<_, RequestError>>()?;
+        Ok(ResolvedRequest { view, look, regions, format: self.format })
+    }
+
+    /// How the volume looks, in a region if there is one.
+    fn look(
+        &self,
+        volume: &Volume,
+        presets: &FittedPresets,
+        region: Option<(usize, &RegionRequest)>,
+    ) -> Result<Look, RequestError> {
+        let (place, told) = match region.and_then(|(index, region)| Some((index, region.transfer.as_ref()?))) {
+            Some((index, transfer)) => (format!("/regions/{index}/transfer_function"), transfer),
+            None => ("/transfer_function".into(), &self.transfer),
+        };
+        let region = region.map(|(_, region)| region);
+        let (mut transfer, shaded) = fitted(told, presets, &place)?;
         transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
-        let algorithm = self.algorithm();
-        let shading = match &self.shading {
+        if let Some(region) = region {
+            transfer.points.iter_mut().for_each(|point| point.opacity *= region.opacity);
+        }
+        let shading = match region.and_then(|region| region.shading.as_ref()).unwrap_or(&self.shading) {
             ShadingChoice::Automatic => shaded.then(Shading::default),
             ShadingChoice::Off => None,
             ShadingChoice::On(shading) => Some(shading.clone()),
         };
-        let defaults = Settings::new(algorithm, self.quality);
+        let projection = region.map_or(self.projection, |region| region.projection);
+        let window = region.and_then(|region| region.window.as_ref()).unwrap_or(&self.window);
+        let defaults = Settings::new(self.algorithm(), self.quality);
         let settings = Settings {
-            blend: self.projection.map_or(Blend::Composite, |which| Blend::Projection(which, self.window(volume))),
+            blend: projection.map_or(Blend::Composite, |which| Blend::Projection(which, fill(window, volume))),
             preintegration: self.preintegration,
             depth_cueing: self.depth_cueing,
             background: self.background,
@@ -87,9 +137,7 @@ impl RenderRequest {
             sample_distance: self.sample_distance.unwrap_or(defaults.sample_distance),
             ..defaults
         };
-        render::check(volume, &view, &settings).map_err(refused)?;
-        let min_opacity = self.min_opacity.unwrap_or(MIN_OPACITY);
-        Ok(ResolvedRequest { view, settings, transfer, min_opacity, format: self.format })
+        Ok(Look { settings, transfer, min_opacity: self.min_opacity.unwrap_or(MIN_OPACITY) })
     }
 
     fn keep_to(&self, limits: &ImageLimits) -> Result<(), RequestError> {
@@ -110,29 +158,6 @@ impl RenderRequest {
         if refused.is_empty() { Ok(()) } else { Err(RequestError::Refused(refused)) }
     }
 
-    /// The transfer function, and whether it asks for shading.
-    fn transfer(&self, presets: &FittedPresets) -> Result<(TransferFunction, bool), RequestError> {
-        match &self.transfer {
-            Transfer::Automatic => Ok((presets.default.transfer.clone(), presets.default.shading)),
-            Transfer::Preset(name) => {
-                let (preset, fitted) = presets.get(name).ok_or_else(|| {
-                    let names: Vec<_> = presets::all().iter().map(|preset| preset.name.as_str()).collect();
-                    let detail = format!("unknown preset, expected one of {}", names.join(", "));
-                    RequestError::refused("/transfer_function", detail)
-                })?;
-                Ok((fitted.clone(), preset.shading))
-            }
-            Transfer::Given(transfer) => Ok((transfer.clone(), true)),
-        }
-    }
-
-    /// What a projection shows from black to white.
-    fn window(&self, volume: &Volume) -> Window {
-        let (low, high) = volume.value_range();
-        let range = if high > low { high - low } else { 1.0 };
-        Window { center: self.window.center.unwrap_or(low + range / 2.0), width: self.window.width.unwrap_or(range) }
-    }
-
     /// `auto` is resolved from the request alone.
     fn algorithm(&self) -> Algorithm {
         match self.algorithm {
@@ -144,8 +169,70 @@ impl RenderRequest {
     }
 }
 
+/// The transfer function that a request tells at `place`, and whether it asks for shading.
+fn fitted(told: &Transfer, presets: &FittedPresets, place: &str) -> Result<(TransferFunction, bool), RequestError> {
+    match told {
+        Transfer::Automatic => Ok((presets.default.transfer.clone(), presets.default.shading)),
+        Transfer::Preset(name) => {
+            let (preset, fitted) = presets.get(name).ok_or_else(|| {
+                let names: Vec<_> = presets::all().iter().map(|preset| preset.name.as_str()).collect();
+                let detail = format!("unknown preset, expected one of {}", names.join(", "));
+                RequestError::refused(place, detail)
+            })?;
+            Ok((fitted.clone(), preset.shading))
+        }
+        Transfer::Given(transfer) => Ok((transfer.clone(), true)),
+    }
+}
+
+/// What a projection shows from black to white: the volume's range of values unless told.
+fn fill(window: &WindowFields, volume: &Volume) -> Window {
+    let (low, high) = volume.value_range();
+    let range = if high > low { high - low } else { 1.0 };
+    Window { center: window.center.unwrap_or(low + range / 2.0), width: window.width.unwrap_or(range) }
+}
+
 impl ResolvedRequest {
     /// The level of the volume's pyramid that the frame shows.
+    pub fn level(&self) -> usize {
+        self.look.level()
+    }
+
+    /// The volume's look, and those of the regions that show something.
+    pub fn looks(&self) -> impl Iterator<Item = &Look> {
+        [&self.look].into_iter().chain(self.regions.iter().filter_map(|region| region.look.as_ref()))
+    }
+
+    /// The frame as `view` sees it; `scenes` are what the [`Self::looks`] show, in their order.
+    ///
+    /// # Errors
+    /// As [`render::render`].
+    pub fn render(&self, view: &View, scenes: &[Scene<'_>], cancel: &Cancel) -> Result<(Image, Timings), RenderError> {
+        let mut shown = self.looks().zip(scenes).map(|(look, scene)| (*scene, &look.settings));
+        let mut next = || shown.next().expect("as many scenes as looks");
+        let (scene, settings) = next();
+        let regions = self.regions.iter();
+        let regions: Vec<_> = regions
+            .map(|RegionLook { shape, look }| Region { shape: shape.clone(), shown: look.as_ref().map(|_| next()) })
+            .collect();
+        render_with_regions(&scene, view, settings, &regions, cancel)
+    }
+
+    /// All that the pixels depend on besides the volume, as text: the same for requests that mean the
+    /// same, however they were written. The format is left out, being known only after negotiation.
+    pub fn canonical(&self) -> String {
+        let settings = &self.look.settings;
+        // Debug writes floats with as many digits as tell them apart.
+        let frame = format!("{:?} {:?} {}", self.view, settings.background, settings.algorithm.name());
+        let regions = self.regions.iter().map(|RegionLook { shape, look }| {
+            format!(" {shape:?} {}", look.as_ref().map_or("nothing".into(), Look::canonical))
+        });
+        format!("{frame} {}{}", self.look.canonical(), regions.collect::<String>())
+    }
+}
+
+impl Look {
+    /// The level of the volume's pyramid.
     pub fn level(&self) -> usize {
         match (self.settings.algorithm, self.settings.quality) {
             (Algorithm::Raycast, _) | (_, Quality::Standard | Quality::High) => 0,
@@ -153,7 +240,7 @@ impl ResolvedRequest {
         }
     }
 
-    /// What the frame needs classified; `None`: nothing.
+    /// What it needs classified; `None`: nothing.
     pub fn purpose(&self) -> Option<Purpose> {
         match (self.settings.algorithm, self.settings.blend) {
             (_, Blend::Projection(..)) | (Algorithm::Raycast, _) => None,
@@ -169,12 +256,9 @@ impl ResolvedRequest {
         self.settings.algorithm != Algorithm::FastClassification
     }
 
-    /// All that the pixels depend on besides the volume, as text: the same for requests that mean the
-    /// same, however they were written. The format is left out, being known only after negotiation.
-    pub fn canonical(&self) -> String {
+    /// All that the pixels depend on besides volume, view, background and algorithm.
+    fn canonical(&self) -> String {
         let settings = &self.settings;
-        // Debug writes floats with as many digits as tell them apart.
-        let frame = format!("{:?} {:?} {}", self.view, settings.background, settings.algorithm.name());
         let samples = match (settings.algorithm, settings.blend) {
             (Algorithm::Raycast, _) => format!("sample_distance {:?}", settings.sample_distance),
             (_, Blend::Projection(..)) => {
@@ -196,7 +280,7 @@ impl ResolvedRequest {
                 settings.early_ray_termination, settings.depth_cueing, settings.shading, self.transfer
             ),
         };
-        format!("{frame} {samples} {shown}")
+        format!("{samples} {shown}")
     }
 }
 
@@ -238,17 +322,17 @@ mod tests {
     fn the_empty_request_has_every_default() {
         let resolved = resolve("{}").unwrap();
         assert_eq!(resolved.view.size(), (512, 512));
-        assert_eq!(resolved.settings.algorithm, Algorithm::Preintegrated);
-        assert_eq!(resolved.settings.shading, Some(Shading::default()));
-        assert_eq!(resolved.settings.early_ray_termination, 0.99);
-        assert_eq!(resolved.min_opacity, 0.002);
-        assert_eq!(resolved.transfer.opacity_distance, Some(0.5));
+        assert_eq!(resolved.look.settings.algorithm, Algorithm::Preintegrated);
+        assert_eq!(resolved.look.settings.shading, Some(Shading::default()));
+        assert_eq!(resolved.look.settings.early_ray_termination, 0.99);
+        assert_eq!(resolved.look.min_opacity, 0.002);
+        assert_eq!(resolved.look.transfer.opacity_distance, Some(0.5));
         assert_eq!(resolved.format, None);
     }
 
     #[test]
     fn auto_is_preintegrated_whatever_the_view_and_the_quality() {
-        let algorithm = |json| resolve(json).unwrap().settings.algorithm;
+        let algorithm = |json| resolve(json).unwrap().look.settings.algorithm;
         assert_eq!(algorithm(r#"{"quality": "draft"}"#), Algorithm::Preintegrated);
         assert_eq!(algorithm(r#"{"quality": "high"}"#), Algorithm::Preintegrated);
         assert_eq!(algorithm(r#"{"camera": {"projection": "perspective"}}"#), Algorithm::Preintegrated);
@@ -257,7 +341,7 @@ mod tests {
 
     #[test]
     fn a_projection_shows_the_range_of_values_unless_told() {
-        let blend = |json: &str| resolve(json).unwrap().settings.blend;
+        let blend = |json: &str| resolve(json).unwrap().look.settings.blend;
         let window = Window { center: 104.5, width: 209.0 };
         assert_eq!(blend(r#"{"blend": "maximum"}"#), Blend::Projection(IntensityProjection::Maximum, window));
         for (told, center, width) in [(r#""center": 40, "width": 400"#, 40.0, 400.0), (r#""width": 9"#, 104.5, 9.0)] {
@@ -269,7 +353,7 @@ mod tests {
 
     #[test]
     fn quality_sets_termination_and_sample_distance() {
-        let settings = |json| resolve(json).unwrap().settings;
+        let settings = |json| resolve(json).unwrap().look.settings;
         assert_eq!(settings(r#"{"quality": "draft"}"#).early_ray_termination, 0.98);
         assert_eq!(settings(r#"{"algorithm": "raycast"}"#).early_ray_termination, 0.9999);
         assert_eq!(settings(r#"{"algorithm": "raycast"}"#).sample_distance, 0.5);
@@ -347,6 +431,11 @@ mod tests {
             r#"{"clip": [{"box": {"min": [-1, -1, -1], "max": [1, 1, 1]}}]}"#,
             r#"{"clip": [{"box": {"min": [-1, -1, -1], "max": [1, 1, 1], "pose": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 9, 1]}}]}"#,
             r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 3}}]}"#,
+            r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "keep": "outside"}]}"#,
+            r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}}]}"#,
+            r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "blend": "maximum"}]}"#,
+            r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "opacity": 0.5}]}"#,
+            r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "shading": false}]}"#,
             r#"{"preintegration": {"entries": 100}}"#,
             r#"{"preintegration": {"lookup": "nearest"}}"#,
             r#"{"preintegration": {"table": "1d"}}"#,
@@ -373,6 +462,31 @@ mod tests {
         assert!(refused.starts_with("/transfer_function: ") && refused.contains("gray-ramp"), "{refused}");
         let query = RenderRequest::from_query("preset=no-such").unwrap();
         assert_eq!(pointer(query.resolve(&volume(), &FittedPresets::of(&volume(), None), &LIMITS)), "/preset");
+    }
+
+    #[test]
+    fn a_region_is_as_around_but_for_what_it_tells() {
+        let sphere = r#""sphere": {"center": [0, 0, 0], "radius": 3}"#;
+        let points = r##"[{"value": 1, "opacity": 0.5, "color": "#ff0000"}]"##;
+        let resolved = |around: &str, region: &str| {
+            let resolved = resolve(&format!(r#"{{{around} "regions": [{{{sphere}{region}}}]}}"#)).unwrap();
+            (resolved.look, resolved.regions[0].look.clone().unwrap())
+        };
+        for around in ["", r#""blend": "minimum", "window": {"center": 3},"#, r#""shading": false, "quality": "high","#]
+        {
+            let (around, region) = resolved(around, "");
+            assert_eq!(region, around);
+        }
+        let given = format!(r#""transfer_function": {{"points": {points}}}, "shading": {{"ambient": 0.5}},"#);
+        let (around, region) = resolved(&given, r#", "opacity": 0.25"#);
+        assert_eq!((around.transfer.points[0].opacity, region.transfer.points[0].opacity), (0.5, 0.125));
+        assert_eq!(region.settings, around.settings);
+        let (around, region) = resolved(&given, r#", "blend": "maximum", "shading": true"#);
+        assert_eq!(around.settings.blend, Blend::Composite);
+        assert!(matches!(region.settings.blend, Blend::Projection(IntensityProjection::Maximum, _)));
+        assert_eq!(region.settings.shading, Some(Shading::default()));
+        let unknown = format!(r#"{{"regions": [{{{sphere}, "transfer_function": "no-such"}}]}}"#);
+        assert_eq!(pointer(resolve(&unknown)), "/regions/0/transfer_function");
     }
 
     #[test]
