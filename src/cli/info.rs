@@ -97,7 +97,7 @@ impl Info {
             origin: placement.origin.to_array(),
             direction: placement.direction.transpose().to_cols_array(),
             scalar_type: report.scalar_type.name(),
-            components: 1,
+            components: volume.components(),
             value_range: [low, high],
             import: Import {
                 format: report.format,

@@ -3,6 +3,8 @@
 //! Every table says what it repeats. Figures are milliseconds a frame of 512 x 512 pixels on one
 //! thread unless the table says otherwise, from the view to the pixels in memory.
 
+mod kraus;
+
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
@@ -44,6 +46,7 @@ pub fn run(folder: &Path, out: &Path) -> Result<(), Failure> {
         ("Lacroute and Levoy 1994, Table 1", lacroute as fn(&[Scan], &Path) -> Result<String, Failure>),
         ("Schulze et al. 2003, Table 1", schulze),
         ("Kye et al. 2005, Table 1", kye),
+        ("Kraus and Bürger 2008", kraus::tables),
         ("Growth with size", growth),
     ] {
         progress.set_message(name);
@@ -151,7 +154,7 @@ fn lacroute(scans: &[Scan], plots: &Path) -> Result<String, Failure> {
 
 /// Standard compositing against the ways to pre-integrate.
 fn schulze(scans: &[Scan], _: &Path) -> Result<String, Failure> {
-    let mut text = "512 x 512, 180 degrees in steps of 6, opacity a linear ramp, without shading: mean. SB and IB: buffer slice of a slice's and of the \
+    let mut text = "512 x 512, 180 degrees in steps of 2, opacity a linear ramp, without shading: mean. SB and IB: buffer slice of a slice's and of the \
                     intermediate image's size; NC and OC: without and with opacity correction.\n\n| scan | standard | SB NC nearest | SB OC nearest | SB OC \
                     bilinear | IB NC nearest | IB OC nearest | IB OC bilinear |\n| --- | --- | --- | --- | --- | --- | --- | --- |\n"
         .to_owned();
@@ -162,7 +165,7 @@ fn schulze(scans: &[Scan], _: &Path) -> Result<String, Failure> {
         );
         let mut row = format!("| {} |", scan.name);
         let mut add = |request: String| -> Result<(), Failure> {
-            let [mean, _, _] = summary(&turn(&stage(&scan.volume, &request)?, (0..180).step_by(6))?);
+            let [mean, _, _] = summary(&turn(&stage(&scan.volume, &request)?, (0..180).step_by(2))?);
             write!(row, " {mean:.2} |").expect("strings take all text");
             Ok(())
         };

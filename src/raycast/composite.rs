@@ -6,7 +6,7 @@ use super::Stretch;
 use super::field::{Field, Place};
 use crate::classify::summed_area::octree_for;
 use crate::classify::transfer::{TransferFunction, extinction};
-use crate::render::{DepthCueing, Light, Ray, Scene, Settings, Shading, View};
+use crate::render::{DepthCueing, Light, Ray, Sampling, Scene, Settings, Shading, View};
 use crate::volume::Volume;
 use crate::volume::gradient::Code;
 
@@ -21,6 +21,7 @@ pub(super) struct Medium<'a, T> {
     reference_length: f64,
     shading: Option<&'a Shading>,
     depth_cueing: Option<(DepthCueing, Depth)>,
+    sampling: Sampling,
     opaque: f64,
     /// One flag per leaf of the octree, false where all of it is transparent; `None`: every sample is
     /// looked at.
@@ -45,6 +46,7 @@ impl<'a, T: Code> Medium<'a, T> {
             reference_length: transfer.reference_length(volume.smallest_spacing()),
             shading: settings.shading.as_ref(),
             depth_cueing: settings.depth_cueing.map(|cueing| (cueing, Depth::new(view, volume))),
+            sampling: settings.sampling,
             opaque: f64::from(settings.early_ray_termination),
             occupied,
         }
@@ -76,6 +78,11 @@ impl<'a, T: Code> Medium<'a, T> {
         if self.occupied.as_ref().is_some_and(|occupied| !occupied[self.field.leaf(place)]) {
             return None;
         }
+        if let Some(colors) = self.volume.colors() {
+            let (color, tau) = self.painted(place, &colors.voxels);
+            let (color, tau) = self.on_gradient(place, color, tau, -ray.direction);
+            return (tau > 0.0).then_some((color, tau));
+        }
         let value = self.volume.value_of_code(self.field.code(place));
         let opacity = self.transfer.opacity(value);
         if opacity <= 0.0 {
@@ -85,6 +92,24 @@ impl<'a, T: Code> Medium<'a, T> {
         let color = DVec3::from_array(self.transfer.color(value));
         let (color, tau) = self.on_gradient(place, color, tau, -ray.direction);
         (tau > 0.0).then_some((color, tau))
+    }
+
+    /// Colour and extinction between voxels that have colours of their own.
+    fn painted(&self, place: Place, voxels: &[[u8; 4]]) -> (DVec3, f64) {
+        let sum = self.field.interpolated(place, |index| {
+            let [r, g, b, code] = voxels[index].map(f64::from);
+            let opacity = self.transfer.opacity(code);
+            let weight = match self.sampling {
+                Sampling::Extinction => extinction(opacity, self.reference_length),
+                Sampling::Opacity => opacity,
+            };
+            (DVec3::new(r, g, b) / 255.0 * weight).extend(weight)
+        });
+        let tau = match self.sampling {
+            Sampling::Extinction => sum.w,
+            Sampling::Opacity => extinction(sum.w, self.reference_length),
+        };
+        (if sum.w > 0.0 { sum.truncate() / sum.w } else { DVec3::ZERO }, tau)
     }
 
     /// Colour and extinction after what depends on the gradient: light and gradient opacity.

@@ -1,6 +1,6 @@
 //! The scalar field between voxels: trilinear codes and gradients.
 
-use glam::DVec3;
+use glam::{DVec3, DVec4};
 
 use crate::volume::PreparedVolume;
 use crate::volume::gradient::{Code, GradientFrame};
@@ -71,6 +71,18 @@ impl<'a, T: Code> Field<'a, T> {
         };
         let differences = DVec3::new(difference(0), difference(1), difference(2));
         self.frame.world_from_frame * (self.frame.frame_from_differences * differences)
+    }
+
+    /// What eight voxels have, told by their index, interpolated.
+    pub(super) fn interpolated(&self, Place { cell, fraction }: Place, voxel: impl Fn(usize) -> DVec4) -> DVec4 {
+        let mut sum = DVec4::ZERO;
+        for corner in 0..8 {
+            let step = [corner & 1, corner >> 1 & 1, corner >> 2];
+            let weight = |axis: usize| if step[axis] == 1 { fraction[axis] } else { 1.0 - fraction[axis] };
+            let [i, j, k] = [0, 1, 2].map(|axis| cell[axis] + step[axis]);
+            sum += voxel((k * self.dims[1] + j) * self.dims[0] + i) * (weight(0) * weight(1) * weight(2));
+        }
+        sum
     }
 
     fn voxel(&self, [i, j, k]: [usize; 3]) -> f64 {

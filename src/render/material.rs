@@ -13,11 +13,14 @@ use std::fmt::Debug;
 
 use glam::Vec4;
 
+use super::Sampling;
+use super::composite::sources::Stored;
 use super::factorization::Factorization;
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
 use crate::classify::CodeTables;
 use crate::classify::rle::Voxel;
+use crate::classify::transfer::MAX_OPACITY;
 
 /// Colour and opacity by code, for a ray's length through a slice.
 #[derive(Clone, Debug)]
@@ -28,14 +31,14 @@ pub struct SliceTables {
 }
 
 impl SliceTables {
-    /// For the view's slice distance. With `optical_depth` the fourth component is left as
-    /// extinction times length, to be scaled by a voxel's gradient opacity.
-    pub fn new(tables: &CodeTables, factorization: &Factorization, optical_depth: bool) -> Self {
+    /// For the view's slice distance, or for a `length` in mm where that is told. With `optical_depth` the fourth component is
+    /// left as extinction times length, to be scaled by a voxel's gradient opacity.
+    pub fn new(tables: &CodeTables, factorization: &Factorization, length: Option<f64>, optical_depth: bool) -> Self {
         let mut shares: Vec<f64> = factorization.slices.clone().map(|k| factorization.share(k)).collect();
         shares.sort_by(f64::total_cmp);
         shares.dedup();
         let entries = shares.into_iter().map(|share| {
-            let length = (factorization.slice_distance * share) as f32;
+            let length = length.unwrap_or(factorization.slice_distance * share) as f32;
             let entry = |(tau, [r, g, b]): (&f32, &[f32; 3])| {
                 let depth = tau * length;
                 let w = if optical_depth || depth == 0.0 { depth } else { opacity(depth) };
@@ -53,15 +56,35 @@ fn opacity(depth: f32) -> f32 {
     -(-depth).exp_m1()
 }
 
-/// What voxels are lit by.
+/// What voxels are lit by, and whose colours they show.
 pub trait Light: Copy + Debug + Send + Sync {
     /// False where colours stay as they are.
     const LIT: bool;
     /// True where light is found for eight voxels at once.
     const BLOCKS: bool;
+    /// True where voxels have colours of their own.
+    const PAINTED: bool = false;
 
     /// Factors on and addends to the colours of consecutive voxels from (i, j, k) on, by their normals' codes.
     fn shade<const N: usize>(self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2];
+
+    /// Where voxels are [`Light::PAINTED`]: the colour of voxel (i, j, k).
+    #[inline(always)]
+    fn paint(self, _: [usize; 3]) -> Vec4 {
+        Vec4::ZERO
+    }
+
+    /// The same: the weight of its colour among others, by its optical depth.
+    #[inline(always)]
+    fn weight(self, depth: f32) -> f32 {
+        depth
+    }
+
+    /// The same: premultiplied colour and opacity of what was resampled, for so many of the tables' lengths.
+    #[inline(always)]
+    fn resampled(self, sample: Vec4, _: f32) -> Vec4 {
+        sample
+    }
 }
 
 /// Colours as they are.
@@ -117,11 +140,71 @@ impl Light for ByRay<'_> {
     }
 }
 
+/// Any light: for voxels that have colours of their own, where it is not asked for in the innermost loop.
+#[derive(Clone, Copy, Debug)]
+pub enum AnyLight<'a> {
+    Unlit,
+    ByNormal(ByNormal<'a>),
+    ByRay(ByRay<'a>),
+}
+
+/// Voxels with colours of their own (Kraus and Bürger 2008).
+#[derive(Clone, Copy, Debug)]
+pub struct Painted<'a> {
+    pub light: AnyLight<'a>,
+    pub colors: Stored<'a, [u8; 4]>,
+    pub sampling: Sampling,
+}
+
+impl Light for Painted<'_> {
+    const LIT: bool = true;
+    const BLOCKS: bool = false;
+    const PAINTED: bool = true;
+
+    #[inline(always)]
+    fn shade<const N: usize>(self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2] {
+        match self.light {
+            AnyLight::Unlit => Unlit.shade(normals, at),
+            AnyLight::ByNormal(light) => light.shade(normals, at),
+            AnyLight::ByRay(light) => light.shade(normals, at),
+        }
+    }
+
+    #[inline(always)]
+    fn paint(self, at: [usize; 3]) -> Vec4 {
+        let [r, g, b, _] = self.colors.at(at);
+        Vec4::new(r.into(), g.into(), b.into(), 0.0) / 255.0
+    }
+
+    #[inline(always)]
+    fn weight(self, depth: f32) -> f32 {
+        match self.sampling {
+            Sampling::Extinction => depth,
+            Sampling::Opacity => opacity(depth),
+        }
+    }
+
+    #[inline(always)]
+    fn resampled(self, sample: Vec4, lengths: f32) -> Vec4 {
+        if sample.w <= 0.0 {
+            return Vec4::ZERO;
+        }
+        let depth = match self.sampling {
+            Sampling::Extinction => sample.w,
+            Sampling::Opacity => -(-sample.w.min(MAX_OPACITY as f32)).ln_1p(),
+        };
+        let alpha = opacity(depth * lengths);
+        (sample * (alpha / sample.w)).with_w(alpha)
+    }
+}
+
 /// Voxel -> premultiplied colour and opacity.
 #[derive(Clone, Copy, Debug)]
 pub struct Material<'a, H, const FACTORED: bool> {
     tables: &'a SliceTables,
     light: H,
+    /// Where the tables are not for the view's slice distance: how many of their lengths that is.
+    lengths: Option<f64>,
 }
 
 /// A [`Material`] for the voxels of one slice.
@@ -129,12 +212,15 @@ pub struct Material<'a, H, const FACTORED: bool> {
 pub struct SliceMaterial<'a, H, const FACTORED: bool> {
     table: &'a [Vec4],
     light: H,
+    /// Of what the tables are for: how much a slice stands for.
+    lengths: f32,
 }
 
 impl<'a, H: Light, const FACTORED: bool> Material<'a, H, FACTORED> {
-    /// `tables` must hold optical depths where `FACTORED`.
-    pub fn new(tables: &'a SliceTables, light: H) -> Self {
-        Self { tables, light }
+    /// `tables` must hold optical depths where `FACTORED` and where voxels have colours of their own; with `lengths`, how many of
+    /// their lengths lie between two slices.
+    pub fn new(tables: &'a SliceTables, light: H, lengths: Option<f64>) -> Self {
+        Self { tables, light, lengths }
     }
 
     /// For a slice that stands for `share` intervals, as one of the factorization does.
@@ -142,7 +228,11 @@ impl<'a, H: Light, const FACTORED: bool> Material<'a, H, FACTORED> {
     pub fn slice(&self, share: f64) -> SliceMaterial<'a, H, FACTORED> {
         let entries = &self.tables.entries;
         let (_, table) = entries.iter().find(|entry| entry.0 == share).unwrap_or(&entries[0]);
-        SliceMaterial { table, light: self.light }
+        SliceMaterial {
+            table,
+            light: self.light,
+            lengths: self.lengths.map_or(1.0, |lengths| (lengths * share) as f32),
+        }
     }
 }
 
@@ -153,13 +243,28 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
         self.light.shade(normals, at)
     }
 
-    /// Premultiplied colour and opacity of a voxel; `factor` is its gradient opacity, 255 = 1.
+    /// What is resampled of voxel (i, j, k): its premultiplied colour and opacity, but for [`Self::resampled`]; `factor` is its
+    /// gradient opacity, 255 = 1.
     #[inline(always)]
-    pub fn color(&self, code: u16, factor: u8, [scale, add]: [f32; 2]) -> Vec4 {
+    pub fn color(&self, code: u16, factor: u8, [scale, add]: [f32; 2], at: [usize; 3]) -> Vec4 {
         let entry = self.table[usize::from(code)];
-        let alpha = if FACTORED { opacity(entry.w * f32::from(factor) / 255.0) } else { entry.w };
+        let alpha = if H::PAINTED {
+            let depth = if FACTORED { entry.w * f32::from(factor) / 255.0 } else { entry.w };
+            self.light.weight(depth)
+        } else if FACTORED {
+            opacity(entry.w * f32::from(factor) / 255.0)
+        } else {
+            entry.w
+        };
+        let entry = if H::PAINTED { self.light.paint(at) } else { entry };
         let color = if H::LIT { (entry * scale + Vec4::splat(add)).min(Vec4::ONE) } else { entry };
         (color * alpha).with_w(alpha)
+    }
+
+    /// Premultiplied colour and opacity of what was resampled, along a ray of a `length` in units of the shortest.
+    #[inline(always)]
+    pub fn resampled(&self, sample: Vec4, length: f32) -> Vec4 {
+        if H::PAINTED { self.light.resampled(sample, self.lengths * length) } else { sample }
     }
 
     /// The colours of consecutive voxels from (i, j, k) on; `factors` are looked at where `FACTORED`.
@@ -185,7 +290,8 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
             let [scales, addends] = self.light(&normals, [i + first, j, k]);
             for at in first..end {
                 let factor = if FACTORED { factors[at] } else { u8::MAX };
-                out[at] = self.color(voxels[at].code, factor, [scales[at - first], addends[at - first]]);
+                let light = [scales[at - first], addends[at - first]];
+                out[at] = self.color(voxels[at].code, factor, light, [i + at, j, k]);
             }
             first = end;
         }

@@ -20,7 +20,9 @@ use serde_json::Value;
 pub use crate::classify::InvalidField;
 use crate::classify::TransferFunction;
 use crate::encode::Format;
-use crate::render::{Background, Camera, Clip, DepthCueing, IntensityProjection, Preintegration, Quality, Shading};
+use crate::render::{
+    Background, Camera, Clip, DepthCueing, IntensityProjection, Preintegration, Quality, Sampling, Shading,
+};
 use fields::WindowFields;
 pub use options::{Kind, OPTIONS, RequestOption};
 pub use resolve::{ImageLimits, Look, ResolvedRequest};
@@ -97,6 +99,8 @@ pub struct RenderRequest {
     early_ray_termination: Option<f64>,
     min_opacity: Option<f64>,
     sample_distance: Option<f64>,
+    /// For volumes with colours of their own.
+    sampling: Option<Sampling>,
     projection: Option<IntensityProjection>,
     /// The volume's range of values unless told.
     window: WindowFields,

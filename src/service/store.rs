@@ -132,6 +132,10 @@ fn fingerprint(volume: &Volume) -> u128 {
             hash.update(bytemuck::cast_slice(codes));
         }
     }
+    if let Some(colors) = volume.colors() {
+        hash.update(&[volume.components()]);
+        hash.update(colors.voxels.as_flattened());
+    }
     hash.digest128()
 }
 

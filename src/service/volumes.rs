@@ -179,7 +179,7 @@ impl Facts {
             origin: placement.origin.to_array(),
             direction: placement.direction.transpose().to_cols_array(),
             scalar_type: report.scalar_type.name(),
-            components: 1,
+            components: volume.components(),
             value_range: [low, high],
             default_preset: loaded.presets.default.name,
             import: Import {

@@ -73,10 +73,8 @@ fn header(fields: &TextFields) -> Result<Header, DecodeError> {
         return Err(fields.unsupported(&format!("expected 3 to {MAX_AXES} dimensions, got {axis_count}")));
     }
     let channels: u64 = fields.number(&["elementnumberofchannels"])?.unwrap_or(1);
-    if channels != 1 {
-        return Err(
-            fields.unsupported(&format!("colour volumes are not supported yet: expected 1 channel, got {channels}"))
-        );
+    if ![1, 3, 4].contains(&channels) {
+        return Err(fields.unsupported(&format!("expected 1 channel, or 3 or 4 of colours, got {channels}")));
     }
     if flag(fields, &["binarydata"])? == Some(false) {
         return Err(fields.unsupported("expected binary data, got BinaryData = False"));
@@ -95,6 +93,7 @@ fn header(fields: &TextFields) -> Result<Header, DecodeError> {
         placement: placement(fields, axis_count)?,
         rescale: (1.0, 0.0),
         interleaved: 1,
+        components: channels,
         following: volumes - 1,
         at_end: false,
     })

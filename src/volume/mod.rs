@@ -114,6 +114,24 @@ impl Scalars {
     }
 }
 
+/// Colours that voxels have of their own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Colors {
+    /// Red, green and blue, not premultiplied, 255 = 1, and the voxel's code; `i` fastest.
+    pub voxels: Vec<[u8; 4]>,
+    /// Where opacity comes from: alpha if the voxels have one, else their luminance.
+    pub has_alpha: bool,
+}
+
+impl Colors {
+    /// Luma of red, green and blue (ITU-R BT.709), rounded.
+    pub fn luminance([r, g, b]: [u8; 3]) -> u8 {
+        const WEIGHTS: [u32; 3] = [13_933, 46_871, 4_732];
+        let sum: u32 = WEIGHTS.iter().zip([r, g, b]).map(|(weight, component)| weight * u32::from(component)).sum();
+        ((sum + (1 << 15)) >> 16) as u8
+    }
+}
+
 /// Where the voxels stand in the world: LPS millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
@@ -171,12 +189,14 @@ pub enum VolumeError {
     Rescale { slope: f64, intercept: f64 },
 }
 
-/// A scalar field on a regular grid, with its place in the world.
+/// A scalar field on a regular grid, with its place in the world. A colour volume's scalars are what its opacity follows from
+/// ([`Colors`]), 0 to 255.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Volume {
     dims: [usize; 3],
     placement: Placement,
     scalars: Scalars,
+    colors: Option<Colors>,
     slope: f64,
     intercept: f64,
     code_range: (u16, u16),
@@ -222,7 +242,22 @@ impl Volume {
             return Err(VolumeError::Rescale { slope, intercept });
         }
         let code_range = code_range(&scalars);
-        Ok(Self { dims, placement, scalars, slope, intercept, code_range, report })
+        Ok(Self { dims, placement, scalars, colors: None, slope, intercept, code_range, report })
+    }
+
+    /// A volume whose voxels have colours of their own.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn of_colors(
+        dims: [usize; 3],
+        placement: Placement,
+        colors: Colors,
+        report: ImportReport,
+    ) -> Result<Self, VolumeError> {
+        let codes = colors.voxels.iter().map(|voxel| voxel[3]).collect();
+        let volume = Self::new(dims, placement, Scalars::U8(codes), (1.0, 0.0), report)?;
+        Ok(Self { colors: Some(colors), ..volume })
     }
 
     /// Voxels along i, j, k.
@@ -238,6 +273,16 @@ impl Volume {
     /// The voxels' codes, `i` fastest.
     pub fn scalars(&self) -> &Scalars {
         &self.scalars
+    }
+
+    /// The voxels' own colours, if they have any.
+    pub fn colors(&self) -> Option<&Colors> {
+        self.colors.as_ref()
+    }
+
+    /// Components of a voxel: 1 (scalars), 3 (colours) or 4 (colours and opacity).
+    pub fn components(&self) -> u8 {
+        self.colors.as_ref().map_or(1, |colors| if colors.has_alpha { 4 } else { 3 })
     }
 
     /// How the scalars came in.

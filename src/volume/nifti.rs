@@ -181,6 +181,11 @@ impl Nifti {
             format: self.format,
             dims,
             scalar_type: scalar_type(self.datatype)?,
+            components: match self.datatype {
+                128 => 3,
+                2304 => 4,
+                _ => 1,
+            },
             endian,
             placement: self.placement(),
             rescale: self.rescale()?,
@@ -281,7 +286,8 @@ fn scalar_type(code: i64) -> Result<ScalarType, DecodeError> {
         Err(DecodeError::Unsupported(format!("NIfTI: {what} volumes are not supported yet (datatype {code})")))
     };
     match code {
-        2 => Ok(ScalarType::U8),
+        // Scalars, red-green-blue, and that with alpha.
+        2 | 128 | 2304 => Ok(ScalarType::U8),
         4 => Ok(ScalarType::I16),
         8 => Ok(ScalarType::I32),
         16 => Ok(ScalarType::F32),
@@ -290,7 +296,6 @@ fn scalar_type(code: i64) -> Result<ScalarType, DecodeError> {
         512 => Ok(ScalarType::U16),
         768 => Ok(ScalarType::U32),
         1 => unsupported("1-bit"),
-        128 | 2304 => unsupported("colour"),
         32 | 1792 | 2048 => unsupported("complex"),
         1024 | 1280 => unsupported("64-bit integer"),
         1536 => unsupported("128-bit float"),

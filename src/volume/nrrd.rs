@@ -2,8 +2,8 @@
 //!
 //! A NRRD has axes rather than dimensions, and three of them must be space. The others (a list, or
 //! time) number volumes, of which the first is taken; they may stand before the spatial axes, and
-//! then the volumes are interleaved. An axis of colours or vectors is refused, because its first
-//! component would be a picture of something else.
+//! then the volumes are interleaved. A first axis of three or four colours makes a colour volume; other vectors are refused,
+//! because their first component would be a picture of something else.
 
 use glam::{DMat3, DVec3};
 
@@ -82,7 +82,8 @@ fn header(fields: &TextFields) -> Result<Header, DecodeError> {
     let first = first_spatial_axis(fields, axis_count, steps.as_deref())?;
     let product = |sizes: &[u64]| sizes.iter().try_fold(1_u64, |product, &n| product.checked_mul(n));
     let overflow = || fields.malformed(&format!("expected sizes with a product below 2^64, got {sizes:?}"));
-    let interleaved = product(&sizes[..first]).ok_or_else(overflow)?;
+    let components = components(fields).unwrap_or(1);
+    let interleaved = product(&sizes[..first]).ok_or_else(overflow)? / components;
     let volumes = product(&sizes[first + 3..]).ok_or_else(overflow)?;
     let scalar_type = scalar_type(fields)?;
     Ok(Header {
@@ -93,6 +94,7 @@ fn header(fields: &TextFields) -> Result<Header, DecodeError> {
         placement: placement(fields, axis_count, first, steps.as_deref())?,
         rescale: (1.0, 0.0),
         interleaved,
+        components,
         following: volumes - 1,
         at_end: false,
     })
@@ -140,21 +142,34 @@ fn first_spatial_axis(
     }
     let kind = |axis: usize| kinds.get(axis).copied().unwrap_or("???").to_ascii_lowercase();
     let list = |axis: usize| ["list", "time", "scalar", "stub"].contains(&kind(axis).as_str());
-    if let Some(axis) =
-        (0..axis_count).find(|&axis| !list(axis) && !["domain", "space", "none", "???"].contains(&kind(axis).as_str()))
-    {
-        let what = if kind(axis).contains("color") { "colour" } else { "vector" };
-        return Err(fields.unsupported(&format!("{what} volumes are not supported yet (axis of kind {})", kinds[axis])));
+    let of_colors = |axis: usize| axis == 0 && components(fields).is_some();
+    if let Some(axis) = (0..axis_count).find(|&axis| {
+        !list(axis) && !of_colors(axis) && !["domain", "space", "none", "???"].contains(&kind(axis).as_str())
+    }) {
+        return Err(fields.unsupported(&format!("expected scalars or colours, got an axis of kind {}", kinds[axis])));
     }
     // Directions say which axes are space; else kinds do; else the first three are.
     let spatial: Vec<usize> = match steps {
         Some(steps) => (0..axis_count).filter(|&axis| steps[axis].is_some()).collect(),
-        None => (0..axis_count).filter(|&axis| !list(axis)).take(3).collect(),
+        None => (0..axis_count).filter(|&axis| !list(axis) && !of_colors(axis)).take(3).collect(),
     };
     match spatial[..] {
         [i, j, k] if j == i + 1 && k == i + 2 => Ok(i),
         _ => Err(fields.unsupported(&format!("expected three neighbouring axes of space, got axes {spatial:?}"))),
     }
+}
+
+/// Components of a voxel that is a colour: what `kinds` calls one, or a vector of as many, on the first axis.
+fn components(fields: &TextFields) -> Option<u64> {
+    let kinds = fields.get(&["kinds"])?.to_ascii_lowercase();
+    let size = fields.get(&["sizes"])?.split_whitespace().next()?.parse().ok()?;
+    let of_size = match kinds.split_whitespace().next()? {
+        "rgb-color" | "3-color" | "3-vector" => [3, 3],
+        "rgba-color" | "4-color" | "4-vector" => [4, 4],
+        "vector" => [3, 4],
+        _ => return None,
+    };
+    of_size.contains(&size).then_some(size)
 }
 
 /// Where the voxels stand: `space directions` in `space`, else the `spacings` alone.

@@ -87,8 +87,9 @@ impl PreparedVolume {
     pub fn bytes(&self) -> [(&'static str, u64); 3] {
         let ranges = self.gradient_octree.get().map_or(0, |(octree, _)| octree.bytes());
         let normals = self.normals.get().map_or(0, |(normals, _)| size_of_val(&normals[..]) as u64);
+        let colors = self.volume.colors().map_or(0, |colors| size_of_val(&colors.voxels[..]));
         [
-            ("volume", (self.volume.scalars().bytes() + self.turned.bytes()) as u64),
+            ("volume", (self.volume.scalars().bytes() + self.turned.bytes() + colors) as u64),
             ("octree", self.octree.bytes()),
             ("gradients", ranges + normals),
         ]

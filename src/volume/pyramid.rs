@@ -11,28 +11,53 @@
 //! same field. (Means on a stretched lattice without that would displace what they show by up to half a
 //! voxel near the faces.)
 //!
+//! A colour volume's voxels are averaged by extinction, and their colours weighted by it (Kraus and Bürger 2008, section 4): a mean of
+//! opacities would make thin walls transparent. Their filter is a box four voxels wide, which they found the best compromise for
+//! trilinear sampling ([`BoxFilter::Four`]); the usual one is kept beside it for comparison.
+//!
 //! Mean and interpolation together are one filter of at most four voxels along an axis, applied along j and
 //! k to whole rows and then along them: one rounding, some milliseconds for 512 x 512 x 234 voxels.
 
-use glam::DVec3;
+use glam::{DVec3, DVec4};
 use rayon::prelude::*;
 
 use super::gradient::Code;
-use super::{Placement, Scalars, Volume};
+use super::{Colors, Placement, Scalars, Volume};
 use crate::simd::{self, Kernel};
 
 /// The next coarser level of `volume`: half as many voxels along each axis, rounded up, and at least 2. At
 /// odd sizes the last mean is of what is there.
 pub fn coarser(volume: &Volume) -> Volume {
+    coarser_by(volume, BoxFilter::Four)
+}
+
+/// How many voxels along an axis a colour volume's voxel of the next level is the mean of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BoxFilter {
+    Two,
+    Four,
+}
+
+/// [`coarser`] with a filter for colours.
+pub fn coarser_by(volume: &Volume, filter: BoxFilter) -> Volume {
     let dims = volume.dims().map(halved);
+    if let Some(colors) = volume.colors() {
+        let colors = averaged(colors, volume.dims(), dims, filter);
+        return Volume::of_colors(dims, stretched(volume), colors, volume.report().clone())
+            .expect("half of a sound volume is sound");
+    }
     let scalars = match volume.scalars() {
         Scalars::U8(codes) => Scalars::U8(filtered(codes, volume.dims(), dims)),
         Scalars::U16(codes) => Scalars::U16(filtered(codes, volume.dims(), dims)),
     };
-    let stretch = DVec3::from_array([0, 1, 2].map(|axis| spacing(volume.dims()[axis])));
-    let placement = Placement { spacing: volume.placement().spacing * stretch, ..*volume.placement() };
-    Volume::new(dims, placement, scalars, volume.rescale(), volume.report().clone())
+    Volume::new(dims, stretched(volume), scalars, volume.rescale(), volume.report().clone())
         .expect("half of a sound volume is sound")
+}
+
+/// Where the voxels of the next level stand.
+fn stretched(volume: &Volume) -> Placement {
+    let stretch = DVec3::from_array([0, 1, 2].map(|axis| spacing(volume.dims()[axis])));
+    Placement { spacing: volume.placement().spacing * stretch, ..*volume.placement() }
 }
 
 fn halved(n: usize) -> usize {
@@ -62,6 +87,55 @@ fn taps(at: usize, n: usize) -> Taps {
     let [here, there] = [at, beside].map(covered);
     let [near, far] = [1.0 - share, share].map(|weight| (weight / 2.0) as f32);
     [(here[0], near), (here[1], near), (there[0], far), (there[1], far)]
+}
+
+/// The voxels of `n` along an axis that a box of `width` covers around coarse voxel `at`, and their weights. Beyond the
+/// outermost voxels lies more of them.
+fn covered(at: usize, n: usize, width: f64) -> impl Iterator<Item = (usize, f64)> {
+    let place = at as f64 * spacing(n);
+    let [from, to] = [place - width / 2.0, place + width / 2.0];
+    ((from + 0.5).floor() as isize..=(to + 0.5).floor() as isize).filter_map(move |voxel| {
+        let weight = (to.min(voxel as f64 + 0.5) - from.max(voxel as f64 - 0.5)) / width;
+        (weight > 0.0).then_some((voxel.clamp(0, n as isize - 1) as usize, weight))
+    })
+}
+
+/// Nothing is quite opaque: the optical model's bound.
+const MAX_ALPHA: f64 = 1.0 - 1e-7;
+
+/// Means of extinction and of colour weighted by it; of luminance, whose opacity is not known yet, plain ones.
+fn averaged(colors: &Colors, fine: [usize; 3], coarse: [usize; 3], filter: BoxFilter) -> Colors {
+    let width = match filter {
+        BoxFilter::Two => 2.0,
+        BoxFilter::Four => 4.0,
+    };
+    // Of an alpha over its own length.
+    let of_alpha = |alpha: u8| -(-(f64::from(alpha) / 255.0).min(MAX_ALPHA)).ln_1p();
+    let extinction: Vec<f64> =
+        (0..=u8::MAX).map(|alpha| if colors.has_alpha { of_alpha(alpha) } else { 1.0 }).collect();
+    let taps = [0, 1, 2].map(|axis| {
+        let of_voxel = |at: usize| covered(at, fine[axis], width).collect::<Vec<_>>();
+        (0..coarse[axis]).map(of_voxel).collect::<Vec<_>>()
+    });
+    let mean = |[x, y, z]: [usize; 3]| {
+        let mut sum = DVec4::ZERO;
+        for &(k, weight_k) in &taps[2][z] {
+            for &(j, weight_j) in &taps[1][y] {
+                for &(i, weight_i) in &taps[0][x] {
+                    let [r, g, b, alpha] = colors.voxels[(k * fine[1] + j) * fine[0] + i];
+                    let weight = extinction[usize::from(alpha)] * (weight_i * weight_j * weight_k);
+                    sum += DVec3::new(r.into(), g.into(), b.into()).extend(1.0) * weight;
+                }
+            }
+        }
+        let [r, g, b] =
+            if sum.w > 0.0 { sum.truncate() / sum.w } else { DVec3::ZERO }.to_array().map(|c| c.round() as u8);
+        let alpha = (-255.0 * (-sum.w).exp_m1()).round() as u8;
+        [r, g, b, if colors.has_alpha { alpha } else { Colors::luminance([r, g, b]) }]
+    };
+    let plane = |z: usize| (0..coarse[1] * coarse[0]).map(move |n| [n % coarse[0], n / coarse[0], z]);
+    let voxels = (0..coarse[2]).into_par_iter().flat_map_iter(|z| plane(z).map(mean)).collect();
+    Colors { voxels, has_alpha: colors.has_alpha }
 }
 
 fn filtered<T: Code>(codes: &[T], fine: [usize; 3], coarse: [usize; 3]) -> Vec<T> {

@@ -14,6 +14,8 @@ pub struct RawLayout {
     pub dims: [usize; 3],
     /// Type of the scalars.
     pub scalar_type: ScalarType,
+    /// Of a voxel: 1, 3 (red, green, blue) or 4 (and alpha).
+    pub components: u8,
     /// True for scalars with the most significant byte first.
     pub big_endian: bool,
     /// Distance between voxel centres in mm.
@@ -27,10 +29,8 @@ pub enum RawLayoutError {
     Fields(String),
     #[error("expected a whole number of voxels, got {0:?}")]
     Dimension(String),
-    #[error("expected one of u8 i8 u16 i16 u32 i32 f32 f64, with :be for big endian, got {0:?}")]
+    #[error("expected one of u8 i8 u16 i16 u32 i32 f32 f64 u8x3 u8x4, with :be for big endian, got {0:?}")]
     Type(String),
-    #[error("colour volumes are not supported yet: expected a scalar type, got {0:?}")]
-    Colour(String),
     #[error("expected a spacing above zero in mm, got {0:?}")]
     Spacing(String),
 }
@@ -54,12 +54,15 @@ impl RawLayout {
             valid.ok_or_else(|| RawLayoutError::Spacing(text.to_owned()))
         };
         let (name, big_endian) = scalars.strip_suffix(":be").map_or((scalars, false), |name| (name, true));
-        if ["u8x3", "u8x4"].contains(&name) {
-            return Err(RawLayoutError::Colour(scalars.to_owned()));
-        }
+        let (name, components) = match name {
+            "u8x3" => ("u8", 3),
+            "u8x4" => ("u8", 4),
+            name => (name, 1),
+        };
         Ok(Self {
             dims: [dimension(nx)?, dimension(ny)?, dimension(nz)?],
             scalar_type: ScalarType::from_name(name).ok_or_else(|| RawLayoutError::Type(scalars.to_owned()))?,
+            components,
             big_endian,
             spacing: DVec3::new(distance(spacing[0])?, distance(spacing[1])?, distance(spacing[2])?),
         })
@@ -69,7 +72,7 @@ impl RawLayout {
 /// Reads an array whose file has exactly the size of the layout: another size means another layout.
 pub(super) fn read(source: Source<'_>, layout: &RawLayout, limits: &Limits) -> Result<Volume, DecodeError> {
     let dims = layout.dims.map(|n| n as u64);
-    let voxel = layout.scalar_type.size() as u64;
+    let voxel = layout.scalar_type.size() as u64 * u64::from(layout.components);
     let expected = dims.iter().try_fold(voxel, |bytes, &n| bytes.checked_mul(n));
     if let (Some(expected), Some(got)) = (expected, source.left())
         && expected < got
@@ -85,6 +88,7 @@ pub(super) fn read(source: Source<'_>, layout: &RawLayout, limits: &Limits) -> R
         placement: Placement::from_spacing(layout.spacing),
         rescale: (1.0, 0.0),
         interleaved: 1,
+        components: layout.components.into(),
         following: 0,
         at_end: false,
     };
@@ -101,6 +105,7 @@ mod tests {
         let wanted = RawLayout {
             dims: [256, 256, 113],
             scalar_type: ScalarType::U16,
+            components: 1,
             big_endian: true,
             spacing: DVec3::new(1.0, 1.0, 2.5),
         };
@@ -116,8 +121,8 @@ mod tests {
             ("2,2,2,u8,1", "expected NX,NY,NZ,TYPE[,SX,SY,SZ]"),
             ("2,-2,2,u8", "whole number of voxels, got \"-2\""),
             ("2,2,2,u64", "got \"u64\""),
-            ("2,2,2,u8x3", "colour volumes are not supported yet"),
-            ("2,2,2,u8x4", "colour volumes are not supported yet"),
+            ("2,2,2,u8x2", "got \"u8x2\""),
+            ("2,2,2,u16x4", "got \"u16x4\""),
             ("2,2,2,u8,1,0,1", "above zero in mm, got \"0\""),
             ("2,2,2,u8,1,nan,1", "above zero in mm, got \"nan\""),
             ("", "expected NX,NY,NZ,TYPE[,SX,SY,SZ]"),

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::decode::{DecodeError, Limits};
 use super::narrow::{Narrowed, narrow_wide};
 use super::source::{Source, read_error};
-use super::{ImportReport, Placement, ScalarType, Scalars, Volume, VolumeError};
+use super::{Colors, ImportReport, Placement, ScalarType, Scalars, Volume, VolumeError};
 
 /// Byte order of multi-byte scalars.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +42,8 @@ pub(super) struct Header {
     pub rescale: (f64, f64),
     /// Scalars of all volumes that stand together for one voxel; the first is taken.
     pub interleaved: u64,
+    /// Components of each voxel, of 8 bits where they are several: 1, 3 (red, green, blue) or 4 (and alpha).
+    pub components: u64,
     /// Volumes that follow the first one.
     pub following: u64,
     /// True where the data are the last bytes of the file, wherever they begin.
@@ -53,18 +55,39 @@ impl Header {
     pub(super) fn read_voxels(&self, mut source: Source<'_>, limits: &Limits) -> Result<Volume, DecodeError> {
         let (dims, count) = self.checked_dims(limits)?;
         // No overflow: `checked_dims` bounds the voxels, interleaved ones included, by MAX_VOXELS.
-        let expected = count as u64 * self.interleaved * self.scalar_type.size() as u64;
+        let expected = count as u64 * self.interleaved * self.components * self.scalar_type.size() as u64;
         if self.at_end {
             self.skip_to_last(&mut source, expected)?;
         }
         if let Some(got) = source.left().filter(|&got| got < expected) {
             return Err(DecodeError::Truncated { expected, got });
         }
-        let narrowed = self.read_scalars(&mut source, count)?;
+        let volume = if self.components == 1 {
+            let narrowed = self.read_scalars(&mut source, count)?;
+            self.volume(dims, narrowed)?
+        } else {
+            let (format, scalar_type) = (self.format, self.scalar_type);
+            if scalar_type != ScalarType::U8 || self.interleaved != 1 {
+                let message = format!("{format}: expected colours of one volume in 8 bits, got {}", scalar_type.name());
+                return Err(DecodeError::Unsupported(message));
+            }
+            let report = ImportReport { volumes_left_out: self.following, ..ImportReport::plain(format, scalar_type) };
+            Volume::of_colors(dims, self.placement, self.read_colors(&mut source, count)?, report)?
+        };
         if self.following == 0 {
             source.check_end()?;
         }
-        self.volume(dims, narrowed)
+        Ok(volume)
+    }
+
+    /// Reads `count` voxels of three or four components.
+    fn read_colors(&self, source: &mut Source<'_>, count: usize) -> Result<Colors, DecodeError> {
+        if self.components == 4 {
+            return Ok(Colors { voxels: self.read_typed(source, count)?, has_alpha: true });
+        }
+        let voxels: Vec<[u8; 3]> = self.read_typed(source, count)?;
+        let with_luminance = |&[r, g, b]: &[u8; 3]| [r, g, b, Colors::luminance([r, g, b])];
+        Ok(Colors { voxels: voxels.par_iter().map(with_luminance).collect(), has_alpha: false })
     }
 
     /// The dimensions, and their product, once both are within bounds.
@@ -73,10 +96,13 @@ impl Header {
         const MAX_VOXELS: u64 = 1 << 56;
         let [nx, ny, nz] = self.dims;
         let limit = limits.max_voxels.min(MAX_VOXELS);
-        let voxels = nx.checked_mul(ny).and_then(|n| n.checked_mul(nz)).and_then(|n| n.checked_mul(self.interleaved));
+        let voxels = nx.checked_mul(ny).and_then(|n| n.checked_mul(nz));
+        let voxels = voxels.and_then(|n| n.checked_mul(self.interleaved)).and_then(|n| n.checked_mul(self.components));
         if voxels.is_none_or(|voxels| voxels > limit) {
-            let of_each =
-                if self.interleaved > 1 { format!(" of {} scalars", self.interleaved) } else { String::new() };
+            let of_each = match self.interleaved * self.components {
+                1 => String::new(),
+                n => format!(" of {n} scalars"),
+            };
             return Err(DecodeError::TooLarge { dims: format!("{nx} x {ny} x {nz}{of_each}"), limit });
         }
         let dims = self.dims.map(|n| usize::try_from(n).unwrap_or(usize::MAX));
@@ -132,7 +158,7 @@ impl Header {
             let period = self.interleaved as usize * size_of::<T>();
             read_growing(FirstOfEach { input: source, keep: size_of::<T>(), period }, count, at_once)?
         };
-        if self.endian != Endian::NATIVE && size_of::<T>() > 1 {
+        if self.endian != Endian::NATIVE && self.scalar_type.size() > 1 {
             let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut scalars);
             let swap = |chunk: &mut [u8]| chunk.chunks_exact_mut(size_of::<T>()).for_each(<[u8]>::reverse);
             bytes.par_chunks_mut(1 << 20).for_each(swap);

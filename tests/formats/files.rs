@@ -207,3 +207,20 @@ impl Header {
         self.bytes[at..at + N].copy_from_slice(&number);
     }
 }
+
+/// Voxels of so many bytes each, 3 x 4 x 5.
+pub fn components(count: usize) -> Vec<u8> {
+    (0..VOXELS * count).map(|n| (n * 7 % 251) as u8).collect()
+}
+
+/// The volume is made of [`components`]: colours, and what their opacity comes from.
+pub fn assert_colors(volume: &Volume, count: usize) {
+    let colors = volume.colors().expect("a colour volume");
+    assert_eq!((volume.dims(), usize::from(volume.components()), colors.has_alpha), (DIMS, count, count == 4));
+    for (n, (voxel, got)) in components(count).chunks(count).zip(&colors.voxels).enumerate() {
+        let luma = (0.2126 * f64::from(voxel[0]) + 0.7152 * f64::from(voxel[1]) + 0.0722 * f64::from(voxel[2])).round();
+        let code = if count == 4 { voxel[3] } else { luma as u8 };
+        assert_eq!(*got, [voxel[0], voxel[1], voxel[2], code], "voxel {n}");
+        assert_eq!(volume.scalars().code(n), u16::from(code), "voxel {n}");
+    }
+}

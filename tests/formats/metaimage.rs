@@ -92,8 +92,16 @@ fn a_data_file_is_followed_beside_the_header_only() {
 }
 
 #[test]
+fn colours_are_read() {
+    for count in [3, 4] {
+        let header = header("MET_UCHAR", &format!("ElementNumberOfChannels = {count}\n"), "LOCAL");
+        assert_colors(&read(&attached(&header, &components(count))).unwrap(), count);
+    }
+}
+
+#[test]
 fn what_is_not_read_is_named() {
-    assert_says(read_with("ElementNumberOfChannels = 3\n"), "colour volumes are not supported yet");
+    assert_says(read_with("ElementNumberOfChannels = 2\n"), "1 channel, or 3 or 4 of colours, got 2");
     assert_says(read_with("BinaryData = False\n"), "binary data");
     assert_says(read_with("CompressedData = maybe\n"), "True or False, got \"maybe\"");
     assert_says(read_with("ElementType = MET_LONG_LONG\n"), "MET_LONG_LONG");

@@ -94,17 +94,24 @@ fn of_a_list_the_first_volume_is_taken_wherever_the_axis_stands() {
 }
 
 #[test]
-fn colours_and_vectors_are_refused() {
-    for (kind, name) in
-        [("RGB-color", "colour"), ("RGBA-color", "colour"), ("vector", "vector"), ("3-vector", "vector")]
-    {
+fn colours_are_read_and_other_vectors_refused() {
+    let file = |kind: &str, count: usize, name: &str| {
+        let size = TYPES[NAMES.iter().position(|n| *n == name).unwrap()].size();
         let header = format!(
-            "NRRD0004\ntype: uchar\ndimension: 4\nsizes: 3 3 4 5\nencoding: raw\nkinds: {kind} domain domain domain\n\n"
+            "NRRD0004\ntype: {name}\ndimension: 4\nsizes: {count} 3 4 5\nencoding: raw\nendian: little\n\
+             kinds: {kind} domain domain domain\n\n"
         );
-        let result = read(&attached(&header, &bytes().repeat(3)));
-        assert!(matches!(result, Err(DecodeError::Unsupported(_))));
-        assert_says(result, &format!("{name} volumes are not supported yet"));
+        read(&attached(&header, &components(count * size)))
+    };
+    for (kind, count) in
+        [("RGB-color", 3), ("3-vector", 3), ("vector", 3), ("RGBA-color", 4), ("4-color", 4), ("vector", 4)]
+    {
+        assert_colors(&file(kind, count, "uchar").unwrap(), count);
     }
+    for (kind, count) in [("RGB-color", 4), ("vector", 2), ("3-matrix", 9), ("quaternion", 4)] {
+        assert_says(file(kind, count, "uchar"), &format!("got an axis of kind {kind}"));
+    }
+    assert_says(file("RGB-color", 3, "float"), "expected colours of one volume in 8 bits, got f32");
 }
 
 #[test]

@@ -20,6 +20,19 @@ fn every_type_and_byte_order_keeps_its_values() {
 }
 
 #[test]
+fn colours_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("array");
+    for count in [3, 4] {
+        fs::write(&path, components(count)).unwrap();
+        let layout = RawLayout::parse(&format!("3,4,5,u8x{count},1,2,3.5")).unwrap();
+        assert_colors(&load_raw(&path, &layout, &LIMITS).unwrap(), count);
+        let beyond = load_raw(&path, &layout, &Limits { max_voxels: 60 * count as u64 - 1 });
+        assert_says(beyond, &format!("got dimensions 3 x 4 x 5 of {count} scalars"));
+    }
+}
+
+#[test]
 fn a_file_of_another_size_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("array");

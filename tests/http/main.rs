@@ -1,6 +1,7 @@
 //! The service over real sockets: one binary, one running service a test.
 
 mod cache_folder;
+mod colors;
 mod contract;
 mod encodings;
 mod errors;

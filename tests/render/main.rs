@@ -2,6 +2,7 @@
 
 mod clip;
 mod closed_form;
+mod colors;
 mod depth;
 mod draft;
 mod equivalence;

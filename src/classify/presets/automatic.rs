@@ -34,6 +34,9 @@ pub struct DefaultPreset {
 
 /// A transfer function that shows something of this volume, whatever it is. `modality` is free text.
 pub fn default_for(volume: &Volume, modality: Option<&str>) -> DefaultPreset {
+    if volume.colors().is_some() {
+        return DefaultPreset { name: AUTOMATIC, transfer: as_they_are(), shading: false };
+    }
     let histogram = Histogram::of(volume);
     let modality = Modality::from_text(modality.unwrap_or_default());
     if let Some(shift) = histogram.hounsfield_shift().filter(|_| modality != Modality::Mr) {
@@ -56,6 +59,16 @@ pub fn default_for(volume: &Volume, modality: Option<&str>) -> DefaultPreset {
         return DefaultPreset::of(named("mr-default"), volume);
     }
     DefaultPreset { name: AUTOMATIC, transfer: by_materials(&histogram), shading: true }
+}
+
+/// Voxels of colours as opaque as their alpha says, or their luminance.
+fn as_they_are() -> TransferFunction {
+    let point = |value: u8| ControlPoint {
+        value: value.into(),
+        opacity: f64::from(value) / 255.0,
+        color: Color([f32::from(value) / 255.0; 3]),
+    };
+    TransferFunction { points: [0, 255].map(point).to_vec(), opacity_distance: None, gradient_opacity: vec![] }
 }
 
 impl DefaultPreset {

@@ -56,8 +56,11 @@ impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: b
             let k = if f.reversed { f.slices.end - 1 - step } else { f.slices.start + step };
             let Some(whole) = clipped(f, [u, v], f.interval(k)) else { continue };
             let Some(mut sample) = L::on_slice(f, k, [u, v], |i, j| self.color([i, j, k])) else { continue };
-            if L::LENGTHS {
-                sample *= opacity_ratio(sample.w, f.relative_length(u, v));
+            let length = if L::LENGTHS { f.relative_length(u, v) } else { 1.0 };
+            if H::PAINTED {
+                sample = self.material.slice(f.share(k)).resampled(sample, length);
+            } else if L::LENGTHS {
+                sample *= opacity_ratio(sample.w, length);
             }
             if !whole {
                 let [enter, leave] = f.cut(u, v, f.interval(k));
@@ -83,7 +86,7 @@ impl<L, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACT
         match self.source.voxel(at).filter(|_| at[0] < self.factorization.dims[0]) {
             Some((voxel, factor)) => {
                 let [[scale], [add]] = material.light(&[voxel.normal], at);
-                material.color(voxel.code, factor, [scale, add])
+                material.color(voxel.code, factor, [scale, add], at)
             }
             None => Vec4::ZERO,
         }

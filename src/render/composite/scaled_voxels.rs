@@ -115,9 +115,17 @@ impl VoxelLattice for Scaled {
                 }
             }
             scratch.shade(voxels.source, first, k, material);
-            let left = |u, clipped: &ClippedPixels| if f.is_clipped() { voxels.left(u, v, k, clipped) } else { None };
+            let finish = |sample: Vec4, u, length, clipped: &ClippedPixels| {
+                let left = if f.is_clipped() { voxels.left(u, v, k, clipped) } else { None };
+                let of_length = if H::PAINTED {
+                    material.resampled(sample, length)
+                } else {
+                    sample * opacity_ratio(sample.w, length)
+                };
+                cut(of_length, left)
+            };
             let cue = cue.map(|cue| cue.scanline(v));
-            scratch.blend(&mut scanline, row * f.size[0], first, cue, left, voxels.opaque);
+            scratch.blend(&mut scanline, row * f.size[0], first, cue, finish, voxels.opaque);
         }
     }
 }
@@ -222,7 +230,7 @@ impl Scratch {
         lengths: usize,
         first: usize,
         cue: Option<ScanlineCue<'_>>,
-        left: impl Fn(usize, &ClippedPixels) -> Option<f32>,
+        finish: impl Fn(Vec4, usize, f32, &ClippedPixels) -> Vec4,
         opaque: f32,
     ) {
         let count = self.rows.len();
@@ -240,8 +248,7 @@ impl Scratch {
             let lengths = &self.lengths[lengths + u..][..length];
             let pixels = scanline.pixels[u..][..length].iter_mut().zip(&samples).zip(lengths);
             for (at, ((pixel, sample), length)) in pixels.enumerate() {
-                let mut sample = *sample * opacity_ratio(sample.w, *length);
-                sample = cut(sample, left(u + at, &self.clipped));
+                let mut sample = finish(*sample, u + at, *length, &self.clipped);
                 if let Some(cue) = cue {
                     sample = (sample * cue.at(u + at)).with_w(sample.w);
                 }

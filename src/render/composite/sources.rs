@@ -150,20 +150,23 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
     }
 }
 
-/// The volume's normals as one principal axis walks them. There is no copy with scanlines along y: their
+/// The volume's normals or colours as one principal axis walks them. There is no copy with scanlines along y: their
 /// voxels are cache lines apart, but the same lines serve the next slices.
 #[derive(Clone, Copy, Debug)]
-pub struct StoredNormals<'a> {
-    codes: &'a [u16],
+pub struct Stored<'a, T> {
+    codes: &'a [T],
     /// Codes from a voxel to the next along i, j, k.
     strides: [usize; 3],
     /// The last voxel of a scanline.
     last: usize,
 }
 
-impl<'a> StoredNormals<'a> {
+/// Normals by their codes.
+pub type StoredNormals<'a> = Stored<'a, u16>;
+
+impl<'a, T: Copy + Default> Stored<'a, T> {
     /// `codes` are in the volume's order, x fastest.
-    pub fn new(codes: &'a [u16], factorization: &Factorization) -> Self {
+    pub fn new(codes: &'a [T], factorization: &Factorization) -> Self {
         let permutation = PERMUTATIONS[factorization.principal_axis];
         let (mut strides, mut stride) = ([0; 3], 1);
         for axis in 0..3 {
@@ -174,22 +177,22 @@ impl<'a> StoredNormals<'a> {
         Self { codes, strides, last: factorization.dims[0] - 1 }
     }
 
-    /// The code of voxel (i, j, k), past the scanline's end that of its last voxel.
+    /// That of voxel (i, j, k), past the scanline's end that of its last voxel.
     #[inline(always)]
-    fn at(&self, [i, j, k]: [usize; 3]) -> u16 {
+    pub fn at(&self, [i, j, k]: [usize; 3]) -> T {
         self.codes[i.min(self.last) * self.strides[0] + j * self.strides[1] + k * self.strides[2]]
     }
 
-    /// The codes of four voxels from (i, j, k) on.
+    /// Those of four voxels from (i, j, k) on.
     #[inline(always)]
-    pub fn four(&self, [i, j, k]: [usize; 3]) -> [u16; 4] {
+    pub fn four(&self, [i, j, k]: [usize; 3]) -> [T; 4] {
         let row = &self.codes[j * self.strides[1] + k * self.strides[2]..];
         if self.strides[0] == 1
-            && let Some(four) = row[..=self.last].get(i..).and_then(<[u16]>::first_chunk)
+            && let Some(four) = row[..=self.last].get(i..).and_then(<[T]>::first_chunk)
         {
             return *four;
         }
-        let mut four = [0; 4];
+        let mut four = [T::default(); 4];
         for (n, code) in four.iter_mut().enumerate() {
             *code = row[(i + n).min(self.last) * self.strides[0]];
         }
@@ -248,7 +251,7 @@ impl<T: Code> Unencoded<'_, T> {
         let [scales, addends] = material.light(&normals, [i, j, k]);
         for n in 0..BLOCK {
             let factor = if FACTORED { self.factor(codes[n], [i + n, j, k]) } else { u8::MAX };
-            out[n] = material.color(codes[n], factor, [scales[n], addends[n]]);
+            out[n] = material.color(codes[n], factor, [scales[n], addends[n]], [i + n, j, k]);
         }
     }
 }
@@ -338,7 +341,7 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
                     let [[scale], [addend]] = material.light(&[normal], [i, j, k]);
                     let code = codes[i].into();
                     let factor = if FACTORED { self.factor(code, [i, j, k]) } else { u8::MAX };
-                    row.voxels[i] = material.color(code, factor, [scale, addend]);
+                    row.voxels[i] = material.color(code, factor, [scale, addend], [i, j, k]);
                 }
             }
         }

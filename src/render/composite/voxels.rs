@@ -21,7 +21,7 @@ use super::spans::Spans;
 use super::{CANCEL_STEP, Composite, WORD, clear_bits, first_run, over, run_mask};
 use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::{Band, ScanlineMut};
-use crate::render::material::{Light, Material};
+use crate::render::material::{Light, Material, SliceMaterial};
 use crate::render::slab::opacity_ratio;
 use crate::render::{Cancel, RenderError};
 
@@ -160,7 +160,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
             let cue = cue.map(|cue| cue.scanline(v));
             let at = Place { v, k, first_u: placement.first[0], cue, clipped };
-            self.blend(&mut scanline, &at, rows, spans, &weights);
+            self.blend(&mut scanline, &at, rows, spans, &weights, material);
         }
     }
 
@@ -193,7 +193,9 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
         rows: &RowBuffers,
         spans: &Spans,
         weights: &Weights,
+        material: SliceMaterial<'_, H, FACTORED>,
     ) {
+        let finish = |sample| material.resampled(sample, 1.0);
         for (word, &bits) in spans.pixels().iter().enumerate() {
             let mut bits = bits;
             while bits != 0 {
@@ -206,12 +208,28 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 let opaque = match (rows.has_lower(), cue) {
                     _ if self.factorization.is_clipped() && clipped.cuts(u, length) => {
                         let left = |u| self.left(u, v, k, clipped);
-                        blend_cut(pixels, [upper, lower], rows.has_lower(), weights, (cue, u), left, self.opaque)
+                        let has_lower = rows.has_lower();
+                        let sample = |upper, lower| {
+                            finish(if has_lower {
+                                weights.sample::<true>(upper, lower)
+                            } else {
+                                weights.sample::<false>(upper, lower)
+                            })
+                        };
+                        blend_cut(pixels, [upper, lower], sample, (cue, u), left, self.opaque)
                     }
-                    (true, None) => blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
-                    (false, None) => blend_run::<false, false>(pixels, upper, lower, weights, (cue, u), self.opaque),
-                    (true, Some(_)) => blend_run::<true, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
-                    (false, Some(_)) => blend_run::<false, true>(pixels, upper, lower, weights, (cue, u), self.opaque),
+                    (true, None) => {
+                        blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), finish, self.opaque)
+                    }
+                    (false, None) => {
+                        blend_run::<false, false>(pixels, upper, lower, weights, (cue, u), finish, self.opaque)
+                    }
+                    (true, Some(_)) => {
+                        blend_run::<true, true>(pixels, upper, lower, weights, (cue, u), finish, self.opaque)
+                    }
+                    (false, Some(_)) => {
+                        blend_run::<false, true>(pixels, upper, lower, weights, (cue, u), finish, self.opaque)
+                    }
                 };
                 if opaque != 0 {
                     clear_bits(scanline.non_opaque, u, opaque);
@@ -284,12 +302,13 @@ fn blend_run<const LOWER: bool, const CUED: bool>(
     lower: &[Vec4],
     weights: &Weights,
     (cue, u): (Option<ScanlineCue<'_>>, usize),
+    finish: impl Fn(Vec4) -> Vec4,
     opaque: f32,
 ) -> u64 {
     let mut done = 0;
     let voxels = upper.windows(2).zip(lower.windows(2));
     for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
-        let mut sample = weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]);
+        let mut sample = finish(weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]));
         if CUED && let Some(cue) = cue {
             sample = (sample * cue.at(u + at)).with_w(sample.w);
         }
@@ -304,8 +323,7 @@ fn blend_run<const LOWER: bool, const CUED: bool>(
 fn blend_cut(
     pixels: &mut [Vec4],
     [upper, lower]: [&[Vec4]; 2],
-    has_lower: bool,
-    weights: &Weights,
+    sample: impl Fn([Vec4; 2], [Vec4; 2]) -> Vec4,
     (cue, u): (Option<ScanlineCue<'_>>, usize),
     left: impl Fn(usize) -> Option<f32>,
     opaque: f32,
@@ -313,9 +331,7 @@ fn blend_cut(
     let mut done = 0;
     let voxels = upper.windows(2).zip(lower.windows(2));
     for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
-        let (upper, lower) = ([upper[0], upper[1]], [lower[0], lower[1]]);
-        let whole =
-            if has_lower { weights.sample::<true>(upper, lower) } else { weights.sample::<false>(upper, lower) };
+        let whole = sample([upper[0], upper[1]], [lower[0], lower[1]]);
         let mut sample = cut(whole, left(u + at));
         if let Some(cue) = cue {
             sample = (sample * cue.at(u + at)).with_w(sample.w);

@@ -2,15 +2,15 @@
 
 use super::{Begun, Pass};
 use crate::classify::Encodings;
-use crate::render::RenderError;
 use crate::render::composite::lattice::{Scaled, Unit};
 use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::LeafRows;
 use crate::render::composite::samples::{VoxelLight, VoxelRows};
-use crate::render::composite::sources::{StoredNormals, Unencoded, VoxelSource};
+use crate::render::composite::sources::{Stored, StoredNormals, Unencoded, VoxelSource};
 use crate::render::composite::voxels::{VoxelLattice, Voxels};
 use crate::render::intermediate::IntermediateImage;
-use crate::render::material::{ByNormal, ByRay, Light, Material, SliceTables, Unlit};
+use crate::render::material::{AnyLight, ByNormal, ByRay, Light, Material, Painted, SliceTables, Unlit};
+use crate::render::{RenderError, Sampling};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
@@ -44,6 +44,20 @@ impl Pass<'_> {
     }
 
     fn with_source<V: VoxelSource>(&self, source: V, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
+        if let Some(colors) = self.scene.prepared.volume().colors() {
+            let light = match (self.table, self.ray_light) {
+                (Some(table), _) => AnyLight::ByNormal(ByNormal::new(table)),
+                (None, Some(light)) => AnyLight::ByRay(ByRay(light)),
+                (None, None) => AnyLight::Unlit,
+            };
+            let colors = Stored::new(&colors.voxels, self.factorization);
+            let painted = Painted { light, colors, sampling: self.settings.sampling };
+            return if self.factorization.is_parallel() {
+                self.with_light(Unit, source, painted, image)
+            } else {
+                self.with_light(Scaled, source, painted, image)
+            };
+        }
         match (self.table, self.ray_light, self.factorization.is_parallel()) {
             (Some(table), ..) => self.with_light(Unit, source, ByNormal::new(table), image),
             (None, Some(light), _) => self.with_light(Scaled, source, ByRay(light), image),
@@ -60,11 +74,18 @@ impl Pass<'_> {
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
         let factored = !self.scene.transfer.gradient_opacity.is_empty();
-        let tables = SliceTables::new(self.classification.tables(), self.factorization, factored);
+        // Opacities that are resampled are those of the length that they were given for.
+        let length = (H::PAINTED && self.settings.sampling == Sampling::Opacity).then(|| {
+            let volume = self.scene.prepared.volume();
+            self.scene.transfer.reference_length(volume.smallest_spacing())
+        });
+        let lengths = length.map(|length| self.factorization.slice_distance / length);
+        let optical_depth = factored || H::PAINTED;
+        let tables = SliceTables::new(self.classification.tables(), self.factorization, length, optical_depth);
         if factored {
-            self.run(&self.composite(lattice, source, Material::<_, true>::new(&tables, light)), image)
+            self.run(&self.composite(lattice, source, Material::<_, true>::new(&tables, light, lengths)), image)
         } else {
-            self.run(&self.composite(lattice, source, Material::<_, false>::new(&tables, light)), image)
+            self.run(&self.composite(lattice, source, Material::<_, false>::new(&tables, light, lengths)), image)
         }
     }
 

@@ -92,6 +92,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
         early_ray_termination: fields.early_ray_termination,
         min_opacity: fields.min_opacity,
         sample_distance: fields.sample_distance,
+        sampling: fields.sampling,
         projection,
         window,
         preintegration,

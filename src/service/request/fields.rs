@@ -8,7 +8,7 @@ use serde::de::{self, Deserialize, Deserializer, MapAccess, Visitor};
 
 use super::AlgorithmChoice;
 use crate::classify::TransferFunction;
-use crate::render::{BufferSlice, Lookup, OpacityCorrection, Projection, Quality, SlabTable};
+use crate::render::{BufferSlice, Lookup, OpacityCorrection, Projection, Quality, Sampling, SlabTable};
 
 #[derive(Default, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -24,6 +24,7 @@ pub struct Fields {
     pub early_ray_termination: Option<f64>,
     pub min_opacity: Option<f64>,
     pub sample_distance: Option<f64>,
+    pub sampling: Option<Sampling>,
     pub depth_cueing: Option<DepthCueingFields>,
     pub clip: Option<Vec<ClipFields>>,
     pub regions: Option<Vec<RegionFields>>,

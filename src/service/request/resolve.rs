@@ -88,12 +88,19 @@ impl RenderRequest {
         limits: &ImageLimits,
     ) -> Result<ResolvedRequest, RequestError> {
         self.keep_to(limits)?;
+        self.suits(volume)?;
         let view = self.view(volume)?;
         let look = self.look(volume, presets, None)?;
         render::check(volume, &view, &look.settings).map_err(refused)?;
         let shown = self.regions.iter().enumerate().map(|(index, region)| {
             let look = self.look(volume, presets, Some((index, region)))?;
             render::check(volume, &view, &look.settings).map_err(refused)?;
+            let of_voxels = matches!(look.settings.algorithm, Algorithm::Classified | Algorithm::FastClassification)
+                || volume.colors().is_some() && look.settings.algorithm != Algorithm::Raycast;
+            if of_voxels && region.projection.is_some() != self.projection.is_some() {
+                let detail = "projections beside what is composited go with preintegrated (of scalars) and raycast";
+                return Err(RequestError::refused(&format!("/regions/{index}/blend"), detail));
+            }
             Ok(RegionLook { shape: region.shape.clone(), look: Some(look) })
         });
         // What is cut out stays so, whatever is to be shown there.
@@ -126,7 +133,7 @@ impl RenderRequest {
         };
         let projection = region.map_or(self.projection, |region| region.projection);
         let window = region.and_then(|region| region.window.as_ref()).unwrap_or(&self.window);
-        let defaults = Settings::new(self.algorithm(), self.quality);
+        let defaults = Settings::new(self.algorithm(volume), self.quality);
         let settings = Settings {
             blend: projection.map_or(Blend::Composite, |which| Blend::Projection(which, fill(window, volume))),
             preintegration: self.preintegration,
@@ -135,6 +142,7 @@ impl RenderRequest {
             shading,
             early_ray_termination: self.early_ray_termination.map_or(defaults.early_ray_termination, |t| t as f32),
             sample_distance: self.sample_distance.unwrap_or(defaults.sample_distance),
+            sampling: self.sampling.unwrap_or_default(),
             ..defaults
         };
         Ok(Look { settings, transfer, min_opacity: self.min_opacity.unwrap_or(MIN_OPACITY) })
@@ -158,9 +166,25 @@ impl RenderRequest {
         if refused.is_empty() { Ok(()) } else { Err(RequestError::Refused(refused)) }
     }
 
-    /// `auto` is resolved from the request alone.
-    fn algorithm(&self) -> Algorithm {
+    /// Refuses what volumes without colours of their own, or with, do not have.
+    fn suits(&self, volume: &Volume) -> Result<(), RequestError> {
+        if volume.colors().is_none() && self.sampling.is_some() {
+            return Err(RequestError::refused("/sampling", "belongs to colour volumes, and this one is of scalars"));
+        }
+        if volume.colors().is_some() && self.algorithm == AlgorithmChoice::Preintegrated && self.projection.is_none() {
+            let detail = "pre-integration is of scalars: a colour volume is rendered by classified, fast-classification and raycast";
+            return Err(RequestError::refused("/algorithm", detail));
+        }
+        Ok(())
+    }
+
+    /// `auto` is resolved from the request and the kind of the volume alone.
+    fn algorithm(&self, volume: &Volume) -> Algorithm {
         match self.algorithm {
+            AlgorithmChoice::Auto if volume.colors().is_some() && self.projection.is_none() => match self.quality {
+                Quality::Draft | Quality::Standard => Algorithm::Classified,
+                Quality::High => Algorithm::Raycast,
+            },
             AlgorithmChoice::Auto | AlgorithmChoice::Preintegrated => Algorithm::Preintegrated,
             AlgorithmChoice::Classified => Algorithm::Classified,
             AlgorithmChoice::FastClassification => Algorithm::FastClassification,
@@ -276,8 +300,12 @@ impl Look {
         let shown = match settings.blend {
             Blend::Projection(..) => format!("{:?}", settings.blend),
             Blend::Composite => format!(
-                "early_ray_termination {:?} {:?} {:?} {:?}",
-                settings.early_ray_termination, settings.depth_cueing, settings.shading, self.transfer
+                "early_ray_termination {:?} {:?} {:?} {:?} {:?}",
+                settings.early_ray_termination,
+                settings.depth_cueing,
+                settings.shading,
+                settings.sampling,
+                self.transfer
             ),
         };
         format!("{samples} {shown}")
