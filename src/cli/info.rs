@@ -5,8 +5,8 @@ use std::fmt::Write;
 
 use clap::Args;
 use serde::Serialize;
-use shearwarp::volume::Volume;
 use shearwarp::volume::histogram::Histogram;
+use shearwarp::volume::{Volume, pyramid};
 
 use super::Failure;
 use super::scene::{Classified, RequestArguments, Stage, VolumeArguments};
@@ -41,6 +41,8 @@ struct Info {
     direction: [f64; 9],
     scalar_type: &'static str,
     components: u8,
+    /// Of the pyramid.
+    levels: usize,
     value_range: [f64; 2],
     import: Import,
     histogram: Bins,
@@ -98,6 +100,7 @@ impl Info {
             direction: placement.direction.transpose().to_cols_array(),
             scalar_type: report.scalar_type.name(),
             components: volume.components(),
+            levels: pyramid::levels(volume.dims()),
             value_range: [low, high],
             import: Import {
                 format: report.format,

@@ -187,7 +187,7 @@ impl Stage {
         let presets = FittedPresets::of(&volume, loaded.modality.as_deref());
         let resolved = request.resolve(&volume, &presets, &LIMITS).map_err(refused)?;
         let progress = spinner("octree");
-        let level = if resolved.level() == 0 { volume.clone() } else { pyramid::coarser(&volume) };
+        let level = (0..resolved.level()).fold(volume.clone(), |finer, _| pyramid::coarser(&finer));
         let prepared = PreparedVolume::build(level);
         progress.set_message("run-length encodings");
         let mut looks = resolved.looks().map(|look| Classified::build(&prepared, look));

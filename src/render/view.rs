@@ -180,6 +180,36 @@ impl Clip {
         self.halves.is_empty() && self.balls.is_empty()
     }
 
+    /// The convex hull of points; `None` where they lie in one plane. Takes time by the fourth power of their number.
+    pub fn hull(points: &[DVec3]) -> Option<Self> {
+        let centre = points.iter().sum::<DVec3>() / points.len() as f64;
+        let size = points.iter().map(|point| point.distance(centre)).fold(0.0, f64::max);
+        let tolerance = 1e-9 * size;
+        let mut halves: Vec<HalfSpace> = vec![];
+        for (a, &first) in points.iter().enumerate() {
+            for (b, &second) in points.iter().enumerate().skip(a + 1) {
+                for &third in &points[b + 1..] {
+                    let normal = (second - first).cross(third - first);
+                    if normal.length() <= 1e-9 * size * size {
+                        continue;
+                    }
+                    // A side, if all points lie on one side of it; inwards is where the middle is.
+                    let normal = normal.normalize() * normal.dot(centre - first).signum();
+                    let half = HalfSpace { normal, offset: -normal.dot(first) };
+                    let distance = |half: &HalfSpace, point: DVec3| half.normal.dot(point) + half.offset;
+                    let is_side = points.iter().all(|point| distance(&half, *point) >= -tolerance);
+                    let is_new = !halves.iter().any(|other| {
+                        [first, second, third].into_iter().all(|point| distance(other, point).abs() <= tolerance)
+                    });
+                    if is_side && is_new {
+                        halves.push(half);
+                    }
+                }
+            }
+        }
+        (halves.len() >= 4).then_some(Self { halves, balls: vec![] })
+    }
+
     /// The same where points are told by other coordinates.
     pub fn told_by(&self, space_from_other: DAffine3) -> Self {
         let half = |half: &HalfSpace| HalfSpace {
@@ -424,6 +454,17 @@ impl View {
         &self.clip
     }
 
+    /// Width of a pixel where the view passes a point, mm; in perspective, 0 for a point that is not in front of the eye.
+    pub fn pixel_size(&self, point: DVec3) -> f64 {
+        match self.rays {
+            Rays::Parallel { dx, .. } => dx.length(),
+            Rays::Perspective { eye, corner, dx, .. } => {
+                let distance = self.forward.dot(point - eye) / self.forward.dot(corner);
+                dx.length() * distance.max(0.0)
+            }
+        }
+    }
+
     /// Where rays begin, mm from their origins: under parallel projection all is in front of the viewer.
     pub fn nearest(&self) -> f64 {
         match self.projection() {
@@ -473,6 +514,27 @@ mod tests {
 
     fn perspective(depth: [f64; 2]) -> Result<View, ViewError> {
         matrices([[1.5, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0], [0.1, -0.2, depth[0], -1.0], [0.0, 0.0, depth[1], 0.0]])
+    }
+
+    #[test]
+    fn a_hull_has_the_sides_of_its_points() {
+        let corners = [0, 1, 2, 3, 4, 5, 6, 7].map(|n| {
+            DVec3::new(f64::from(n & 1), f64::from(n >> 1 & 1) * 2.0, f64::from(n >> 2) * 3.0)
+                + DVec3::new(5.0, -7.0, 100.0)
+        });
+        let inner = corners.iter().sum::<DVec3>() / 8.0;
+        let cube = Clip::hull(&[&corners[..], &[inner, (corners[0] + corners[1]) / 2.0]].concat()).unwrap();
+        assert_eq!(cube.halves.len(), 6);
+        let span = |hull: &Clip, from: DVec3, along: DVec3| hull.span(from, along, [f64::NEG_INFINITY, f64::INFINITY]);
+        for (axis, size) in [(DVec3::X, 1.0), (DVec3::Y, 2.0), (DVec3::Z, 3.0)] {
+            let [enter, leave] = span(&cube, inner, axis);
+            assert!((enter + size / 2.0).abs() < 1e-9 && (leave - size / 2.0).abs() < 1e-9);
+        }
+        let simplex = Clip::hull(&corners[..3].iter().chain(&corners[4..5]).copied().collect::<Vec<_>>()).unwrap();
+        assert_eq!(simplex.halves.len(), 4);
+        for flat in [&corners[..4], &corners[..2], &[inner; 9], &[]] {
+            assert_eq!(Clip::hull(flat), None);
+        }
     }
 
     #[test]

@@ -45,7 +45,7 @@ pub struct ClassifiedKey {
 impl ClassifiedKey {
     /// What a look needs; `None`: nothing classified.
     pub fn of(look: &Look) -> Option<Self> {
-        look.purpose().map(|purpose| Self { level: look.level(), transfer: look.transfer.clone(), purpose })
+        look.purpose().map(|purpose| Self { level: look.level, transfer: look.transfer.clone(), purpose })
     }
 
     /// The whole content, not a hash of it: hashes can be made to collide by whoever sends transfer

@@ -99,6 +99,8 @@ pub struct RenderRequest {
     early_ray_termination: Option<f64>,
     min_opacity: Option<f64>,
     sample_distance: Option<f64>,
+    /// Of the volume's pyramid.
+    level: Option<u32>,
     /// For volumes with colours of their own.
     sampling: Option<Sampling>,
     projection: Option<IntensityProjection>,
@@ -261,6 +263,7 @@ mod tests {
             "min_opacity": 0.002, "sample_distance": 0.125, "depth_cueing": {"front": 1.0, "density": 1.0},
             "clip": [{"plane": {"point": [0, 0, 0], "normal": [0, 1, 0]}, "keep": "outside"},
                 {"box": {"min": [-1, -1, -1], "max": [1, 1, 1]}}, {"sphere": {"center": [0, 0, 0], "radius": 2}},
+                {"hull": {"points": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "keep": "outside"},
                 {"box": {"min": [0, 0, 0], "max": [1, 1, 1], "pose": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]}}],
             "preintegration": {"table": "2d", "entries": 256, "lookup": "bilinear", "opacity_correction": "view",
                 "buffer": "slice", "samples_per_voxel": 1}
@@ -353,6 +356,11 @@ mod tests {
             (r#"{"clip": [{"cone": {}}]}"#, "/clip/0/cone"),
             (r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 0}}]}"#, "/clip/0/sphere/radius"),
             (r#"{"regions": [{}]}"#, "/regions/0"),
+            (
+                r#"{"clip": [{"hull": {"points": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]}}]}"#,
+                "/clip/0/hull/points",
+            ),
+            (r#"{"clip": [{"hull": {"points": []}}]}"#, "/clip/0/hull/points"),
             (r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "color": 1}]}"#, "/regions/0/color"),
             (r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "opacity": 2}]}"#, "/regions/0/opacity"),
             (

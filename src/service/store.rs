@@ -68,8 +68,8 @@ impl Entry {
 /// A volume in memory with all that is known about it before anybody asks.
 #[derive(Debug)]
 pub struct LoadedVolume {
-    /// Of the pyramid: the volume itself, and half the size along each axis.
-    levels: [PreparedVolume; 2],
+    /// The pyramid, from the volume itself on.
+    levels: Vec<PreparedVolume>,
     pub histogram: Histogram,
     pub presets: FittedPresets,
     /// Names the content: voxels, rescale and placement.
@@ -82,8 +82,9 @@ impl LoadedVolume {
         let fingerprint = fingerprint(&volume);
         let histogram = Histogram::of(&volume);
         let presets = FittedPresets::of(&volume, modality);
-        let coarser = PreparedVolume::build(pyramid::coarser(&volume));
-        let levels = [PreparedVolume::build(volume), coarser];
+        let count = pyramid::levels(volume.dims());
+        let finer_first = std::iter::successors(Some(volume), |finer| Some(pyramid::coarser(finer)));
+        let levels: Vec<_> = finer_first.take(count).map(PreparedVolume::build).collect();
         // Made when asked for; no frame shall wait for them.
         for level in &levels {
             level.normals();
@@ -96,16 +97,15 @@ impl LoadedVolume {
         self.levels[0].volume()
     }
 
-    /// A level of the pyramid: 0, the volume itself, or 1.
+    /// A level of the pyramid, one of [`pyramid::levels`].
     pub fn level(&self, level: usize) -> &PreparedVolume {
         &self.levels[level]
     }
 
     /// Bytes in memory, by structure.
     pub fn bytes(&self) -> impl Iterator<Item = (&'static str, u64)> {
-        let [volume, coarser] = &self.levels;
-        let coarser = coarser.bytes().iter().map(|(_, bytes)| bytes).sum();
-        volume.bytes().into_iter().chain([("pyramid", coarser), ("histogram", self.histogram.bytes())])
+        let coarser = self.levels[1..].iter().flat_map(PreparedVolume::bytes).map(|(_, bytes)| bytes).sum();
+        self.levels[0].bytes().into_iter().chain([("pyramid", coarser), ("histogram", self.histogram.bytes())])
     }
 }
 

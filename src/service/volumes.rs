@@ -12,6 +12,7 @@ use super::App;
 use super::error::Problem;
 use super::store::{Entry, LoadedVolume, Status};
 use crate::classify::TransferFunction;
+use crate::volume::pyramid;
 
 /// Bins of a histogram at most: one per code of a 12-bit scan.
 const MAX_BINS: usize = 4096;
@@ -49,6 +50,8 @@ struct Facts {
     direction: [f64; 9],
     scalar_type: &'static str,
     components: u8,
+    /// Of the pyramid.
+    levels: usize,
     value_range: [f64; 2],
     default_preset: &'static str,
     import: Import,
@@ -180,6 +183,7 @@ impl Facts {
             direction: placement.direction.transpose().to_cols_array(),
             scalar_type: report.scalar_type.name(),
             components: volume.components(),
+            levels: pyramid::levels(volume.dims()),
             value_range: [low, high],
             default_preset: loaded.presets.default.name,
             import: Import {

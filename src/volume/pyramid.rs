@@ -31,6 +31,19 @@ pub fn coarser(volume: &Volume) -> Volume {
     coarser_by(volume, BoxFilter::Four)
 }
 
+/// Levels of a volume's pyramid, the volume itself being level 0: each half the size of the one before, until none has more than
+/// 64 voxels along an axis, and always two.
+pub fn levels(dims: [usize; 3]) -> usize {
+    const SMALLEST: usize = 64;
+    let mut largest = dims.into_iter().max().unwrap_or(1);
+    let mut levels = 1;
+    while levels < 2 || largest > SMALLEST {
+        largest = halved(largest);
+        levels += 1;
+    }
+    levels
+}
+
 /// How many voxels along an axis a colour volume's voxel of the next level is the mean of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoxFilter {
@@ -193,6 +206,13 @@ mod tests {
         let placement = Placement::from_spacing(DVec3::new(1.0, 2.0, 0.5));
         let report = ImportReport::plain("test", ScalarType::U8);
         Volume::new(dims, placement, Scalars::U8(codes), (1.0, 0.0), report).unwrap()
+    }
+
+    #[test]
+    fn a_pyramid_ends_where_there_is_little_left() {
+        for (largest, count) in [(2, 2), (64, 2), (65, 2), (128, 2), (129, 3), (256, 3), (512, 4)] {
+            assert_eq!(levels([2, largest, 3]), count, "{largest}");
+        }
     }
 
     #[test]

@@ -7,9 +7,9 @@ use std::ops::{Bound, RangeBounds, RangeInclusive};
 use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 
 use super::fields::{
-    Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, ImageFields, Keep, LightFields,
-    LightName, LookAtFields, MatricesFields, PlaneFields, PreintegrationFields, RegionFields, ShadingFields,
-    SphereFields, WindowFields,
+    Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, HullFields, ImageFields, Keep,
+    LightFields, LightName, LookAtFields, MatricesFields, PlaneFields, PreintegrationFields, RegionFields,
+    ShadingFields, SphereFields, WindowFields,
 };
 use super::{AlgorithmChoice, InvalidField, RegionRequest, RenderRequest, ShadingChoice, Spelling, Transfer};
 use crate::classify::{Color, TransferFunction};
@@ -37,6 +37,8 @@ const EARLY_RAY_TERMINATION: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), B
 const MIN_OPACITY: std::ops::Range<f64> = 0.0..1.0;
 /// Smallest spacings: finer is a long wait for nothing, coarser skips the volume.
 const SAMPLE_DISTANCE: RangeInclusive<f64> = 0.01..=8.0;
+/// More than the levels of any volume, which say how many they are.
+const LEVEL: RangeInclusive<f64> = 0.0..=16.0;
 /// Window centres and widths: any value of a file, and widths above what divides to infinity.
 const WINDOW_CENTER: RangeInclusive<f64> = -1e12..=1e12;
 const WINDOW_WIDTH: RangeInclusive<f64> = 1e-6..=1e12;
@@ -47,6 +49,8 @@ const CUE_DENSITY: RangeInclusive<f64> = 0.0..=100.0;
 const ENTRIES: RangeInclusive<f64> = 2.0..=1024.0;
 /// Beyond, slabs are shorter than what 8-bit pixels tell apart.
 const SAMPLES_PER_VOXEL: RangeInclusive<f64> = 1.0..=8.0;
+/// Points of a convex hull. Its sides are found by trying all planes through three of them.
+const MAX_HULL: usize = 32;
 /// Of a sphere, mm.
 const RADIUS: RangeInclusive<f64> = 1e-3..=1e9;
 /// Regions that cut something away; a box is six half-spaces.
@@ -73,6 +77,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     refusals.range("/early_ray_termination", fields.early_ray_termination, EARLY_RAY_TERMINATION);
     refusals.range("/min_opacity", fields.min_opacity, MIN_OPACITY);
     refusals.range("/sample_distance", fields.sample_distance, SAMPLE_DISTANCE);
+    refusals.range("/level", fields.level.map(f64::from), LEVEL);
     let projection = projection(fields.blend.unwrap_or(Blend::Composite));
     let window = refusals.window("", projection, fields.window);
     let preintegration = refusals.preintegration(fields.quality, fields.preintegration.as_ref());
@@ -92,6 +97,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
         early_ray_termination: fields.early_ray_termination,
         min_opacity: fields.min_opacity,
         sample_distance: fields.sample_distance,
+        level: fields.level,
         sampling: fields.sampling,
         projection,
         window,
@@ -361,7 +367,8 @@ impl Refusals {
         for (index, region) in regions.into_iter().enumerate() {
             let outside = region.keep == Some(Keep::Outside);
             let is_plane = region.plane.is_some();
-            let shape = self.convex(&format!("/clip/{index}"), region.plane, region.r#box, region.sphere);
+            let shape =
+                self.convex(&format!("/clip/{index}"), (region.plane, region.r#box, region.sphere, region.hull));
             match (outside, is_plane) {
                 (false, _) => {
                     left.halves.extend(shape.halves);
@@ -394,7 +401,7 @@ impl Refusals {
                 self.refuse(format!("{place}/blend"), "goes with preintegrated and raycast");
             }
             RegionRequest {
-                shape: self.convex(&place, region.plane, region.r#box, region.sphere),
+                shape: self.convex(&place, (region.plane, region.r#box, region.sphere, region.hull)),
                 transfer: region.transfer_function.map(|transfer| self.transfer(&place, Some(transfer))),
                 opacity: region.opacity.unwrap_or(1.0),
                 shading: region.shading.map(|shading| self.shading(&place, Some(shading))),
@@ -411,20 +418,19 @@ impl Refusals {
     fn convex(
         &mut self,
         place: &str,
-        plane: Option<PlaneFields>,
-        r#box: Option<BoxFields>,
-        sphere: Option<SphereFields>,
+        told: (Option<PlaneFields>, Option<BoxFields>, Option<SphereFields>, Option<HullFields>),
     ) -> Clip {
-        match (plane, r#box, sphere) {
-            (Some(plane), None, None) => Clip { halves: vec![self.plane(place, &plane)], balls: vec![] },
-            (None, Some(fields), None) => Clip { halves: self.sides(place, &fields), balls: vec![] },
-            (None, None, Some(sphere)) => {
+        match told {
+            (Some(plane), None, None, None) => Clip { halves: vec![self.plane(place, &plane)], balls: vec![] },
+            (None, Some(fields), None, None) => Clip { halves: self.sides(place, &fields), balls: vec![] },
+            (None, None, Some(sphere), None) => {
                 let centre = self.vector(&format!("{place}/sphere/center"), sphere.center);
                 self.range(format!("{place}/sphere/radius"), Some(sphere.radius), RADIUS);
                 Clip { halves: vec![], balls: vec![Ball::new(centre, sphere.radius)] }
             }
+            (None, None, None, Some(hull)) => self.hull(&format!("{place}/hull/points"), &hull.points),
             _ => {
-                self.refuse(place, "expected one of plane, box and sphere");
+                self.refuse(place, "expected one of plane, box, sphere and hull");
                 Clip::default()
             }
         }
@@ -439,6 +445,19 @@ impl Refusals {
         }
         let inwards = normal.unwrap_or(DVec3::Z);
         HalfSpace { normal: inwards, offset: -inwards.dot(point) }
+    }
+
+    fn hull(&mut self, pointer: &str, points: &[[f64; 3]]) -> Clip {
+        if points.len() > MAX_HULL {
+            self.refuse(pointer, format!("expected at most {MAX_HULL} points, got {}", points.len()));
+            return Clip::default();
+        }
+        let at = |(index, point): (usize, &[f64; 3])| self.vector(&format!("{pointer}/{index}"), *point);
+        let points: Vec<_> = points.iter().enumerate().map(at).collect();
+        Clip::hull(&points).unwrap_or_else(|| {
+            self.refuse(pointer, "expected points that do not all lie in one plane");
+            Clip::default()
+        })
     }
 
     fn sides(&mut self, pointer: &str, region: &BoxFields) -> Vec<HalfSpace> {

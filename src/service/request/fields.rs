@@ -24,6 +24,7 @@ pub struct Fields {
     pub early_ray_termination: Option<f64>,
     pub min_opacity: Option<f64>,
     pub sample_distance: Option<f64>,
+    pub level: Option<u32>,
     pub sampling: Option<Sampling>,
     pub depth_cueing: Option<DepthCueingFields>,
     pub clip: Option<Vec<ClipFields>>,
@@ -140,6 +141,7 @@ pub struct ClipFields {
     pub plane: Option<PlaneFields>,
     pub r#box: Option<BoxFields>,
     pub sphere: Option<SphereFields>,
+    pub hull: Option<HullFields>,
     pub keep: Option<Keep>,
 }
 
@@ -150,6 +152,7 @@ pub struct RegionFields {
     pub plane: Option<PlaneFields>,
     pub r#box: Option<BoxFields>,
     pub sphere: Option<SphereFields>,
+    pub hull: Option<HullFields>,
     pub transfer_function: Option<Either<String, TransferFunction>>,
     /// Factor of the transfer function's opacities.
     pub opacity: Option<f64>,
@@ -180,6 +183,13 @@ pub struct BoxFields {
 pub struct SphereFields {
     pub center: [f64; 3],
     pub radius: f64,
+}
+
+/// The convex hull of points, say of a mesh's vertices.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HullFields {
+    pub points: Vec<[f64; 3]>,
 }
 
 #[derive(Clone, Copy, Default, PartialEq, Eq, serde::Deserialize)]

@@ -10,7 +10,7 @@ use crate::render::{
     self, Algorithm, Blend, BufferSlice, Cancel, Clip, Image, Preintegration, Quality, RenderError, Scene, Settings,
     Shading, Timings, View, Window,
 };
-use crate::volume::Volume;
+use crate::volume::{Volume, pyramid};
 
 /// Half of what shows in one voxel on an 8-bit display.
 const MIN_OPACITY: f64 = 0.002;
@@ -44,6 +44,8 @@ pub struct Look {
     pub transfer: TransferFunction,
     /// Voxels at or below it count as transparent (for [`Algorithm::Classified`]).
     pub min_opacity: f64,
+    /// Of the volume's pyramid; the same for all of a frame's looks.
+    pub level: usize,
 }
 
 /// How the volume looks within a convex part of the world.
@@ -90,10 +92,11 @@ impl RenderRequest {
         self.keep_to(limits)?;
         self.suits(volume)?;
         let view = self.view(volume)?;
-        let look = self.look(volume, presets, None)?;
+        let level = self.level(volume, &view)?;
+        let look = self.look(volume, presets, level, None)?;
         render::check(volume, &view, &look.settings).map_err(refused)?;
         let shown = self.regions.iter().enumerate().map(|(index, region)| {
-            let look = self.look(volume, presets, Some((index, region)))?;
+            let look = self.look(volume, presets, level, Some((index, region)))?;
             render::check(volume, &view, &look.settings).map_err(refused)?;
             let of_voxels = matches!(look.settings.algorithm, Algorithm::Classified | Algorithm::FastClassification)
                 || volume.colors().is_some() && look.settings.algorithm != Algorithm::Raycast;
@@ -114,6 +117,7 @@ impl RenderRequest {
         &self,
         volume: &Volume,
         presets: &FittedPresets,
+        level: usize,
         region: Option<(usize, &RegionRequest)>,
     ) -> Result<Look, RequestError> {
         let (place, told) = match region.and_then(|(index, region)| Some((index, region.transfer.as_ref()?))) {
@@ -145,7 +149,7 @@ impl RenderRequest {
             sampling: self.sampling.unwrap_or_default(),
             ..defaults
         };
-        Ok(Look { settings, transfer, min_opacity: self.min_opacity.unwrap_or(MIN_OPACITY) })
+        Ok(Look { settings, transfer, min_opacity: self.min_opacity.unwrap_or(MIN_OPACITY), level })
     }
 
     fn keep_to(&self, limits: &ImageLimits) -> Result<(), RequestError> {
@@ -176,6 +180,24 @@ impl RenderRequest {
             return Err(RequestError::refused("/algorithm", detail));
         }
         Ok(())
+    }
+
+    /// The level that is told, or else 0, and for drafts the finest whose voxels are larger than pixels, at least 1.
+    fn level(&self, volume: &Volume, view: &View) -> Result<usize, RequestError> {
+        let levels = pyramid::levels(volume.dims());
+        if let Some(level) = self.level {
+            let level = usize::try_from(level).ok().filter(|level| *level < levels);
+            return level.ok_or_else(|| {
+                let detail =
+                    format!("expected a level from 0 to {}, got {}", levels - 1, self.level.unwrap_or_default());
+                RequestError::refused("/level", detail)
+            });
+        }
+        if self.quality != Quality::Draft || self.algorithm(volume) == Algorithm::Raycast {
+            return Ok(0);
+        }
+        let voxels = view.pixel_size(volume.centre()) / volume.smallest_spacing();
+        Ok((1 + voxels.max(1.0).log2() as usize).min(levels - 1))
     }
 
     /// `auto` is resolved from the request and the kind of the volume alone.
@@ -219,7 +241,7 @@ fn fill(window: &WindowFields, volume: &Volume) -> Window {
 impl ResolvedRequest {
     /// The level of the volume's pyramid that the frame shows.
     pub fn level(&self) -> usize {
-        self.look.level()
+        self.look.level
     }
 
     /// The volume's look, and those of the regions that show something.
@@ -256,14 +278,6 @@ impl ResolvedRequest {
 }
 
 impl Look {
-    /// The level of the volume's pyramid.
-    pub fn level(&self) -> usize {
-        match (self.settings.algorithm, self.settings.quality) {
-            (Algorithm::Raycast, _) | (_, Quality::Standard | Quality::High) => 0,
-            (_, Quality::Draft) => 1,
-        }
-    }
-
     /// What it needs classified; `None`: nothing.
     pub fn purpose(&self) -> Option<Purpose> {
         match (self.settings.algorithm, self.settings.blend) {
@@ -284,17 +298,17 @@ impl Look {
     fn canonical(&self) -> String {
         let settings = &self.settings;
         let samples = match (settings.algorithm, settings.blend) {
-            (Algorithm::Raycast, _) => format!("sample_distance {:?}", settings.sample_distance),
+            (Algorithm::Raycast, _) => format!("level {} sample_distance {:?}", self.level, settings.sample_distance),
             (_, Blend::Projection(..)) => {
-                format!("level {} samples_per_voxel {}", self.level(), settings.preintegration.samples_per_voxel)
+                format!("level {} samples_per_voxel {}", self.level, settings.preintegration.samples_per_voxel)
             }
             (Algorithm::Classified | Algorithm::FastClassification, _) => {
-                format!("level {} min_opacity {:?}", self.level(), self.min_opacity)
+                format!("level {} min_opacity {:?}", self.level, self.min_opacity)
             }
             (Algorithm::Preintegrated, _) => {
                 // Either buffer gives the same pixels.
                 let options = Preintegration { buffer: BufferSlice::Slice, ..settings.preintegration };
-                format!("{} {options:?}", settings.quality.name())
+                format!("level {} {} {options:?}", self.level, settings.quality.name())
             }
         };
         let shown = match settings.blend {
@@ -400,6 +414,7 @@ mod tests {
             r#"{"shading": {"lights": ["headlight"]}, "algorithm": "preintegrated", "blend": "composite"}"#,
             r#"{"preintegration": {"entries": 256, "lookup": "bilinear", "buffer": "image"}}"#,
             r#"{"clip": []}"#,
+            r#"{"level": 0}"#,
         ];
         for json in equal {
             assert_eq!(canonical(json), canonical("{}"), "{json}");
@@ -460,10 +475,13 @@ mod tests {
             r#"{"clip": [{"box": {"min": [-1, -1, -1], "max": [1, 1, 1], "pose": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 9, 1]}}]}"#,
             r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 3}}]}"#,
             r#"{"clip": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "keep": "outside"}]}"#,
+            r#"{"clip": [{"hull": {"points": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]}}]}"#,
             r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}}]}"#,
             r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "blend": "maximum"}]}"#,
             r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "opacity": 0.5}]}"#,
             r#"{"regions": [{"sphere": {"center": [0, 0, 0], "radius": 3}, "shading": false}]}"#,
+            r#"{"level": 1}"#,
+            r#"{"level": 1, "algorithm": "raycast"}"#,
             r#"{"preintegration": {"entries": 100}}"#,
             r#"{"preintegration": {"lookup": "nearest"}}"#,
             r#"{"preintegration": {"table": "1d"}}"#,
@@ -490,6 +508,35 @@ mod tests {
         assert!(refused.starts_with("/transfer_function: ") && refused.contains("gray-ramp"), "{refused}");
         let query = RenderRequest::from_query("preset=no-such").unwrap();
         assert_eq!(pointer(query.resolve(&volume(), &FittedPresets::of(&volume(), None), &LIMITS)), "/preset");
+    }
+
+    #[test]
+    fn drafts_take_the_level_of_their_pixels_and_a_level_may_be_told() {
+        let placement = Placement::from_spacing(DVec3::ONE);
+        let scalars = Scalars::U8(vec![0; 300 * 300 * 2]);
+        let report = ImportReport::plain("test", ScalarType::U8);
+        let volume = Volume::new([300, 300, 2], placement, scalars, (1.0, 0.0), report).unwrap();
+        let presets = FittedPresets::of(&volume, None);
+        let level = |json: &str| {
+            let request = RenderRequest::from_json(json.as_bytes()).unwrap();
+            request.resolve(&volume, &presets, &LIMITS).map(|resolved| resolved.level())
+        };
+        // The picture is 423 mm high.
+        for (rest, expected) in [
+            (r#""image": {"height": 512}"#, 1),
+            (r#""image": {"height": 200}"#, 2),
+            (r#""image": {"height": 200}, "camera": {"zoom": 4}"#, 1),
+            (r#""image": {"height": 20}"#, 3),
+            (r#""image": {"height": 20}, "camera": {"projection": "perspective"}"#, 3),
+            (r#""image": {"height": 20}, "level": 0"#, 0),
+            (r#""image": {"height": 20}, "algorithm": "raycast""#, 0),
+        ] {
+            assert_eq!(level(&format!(r#"{{"quality": "draft", {rest}}}"#)), Ok(expected), "{rest}");
+        }
+        assert_eq!(level(r#"{"image": {"height": 20}}"#), Ok(0));
+        assert_eq!(level(r#"{"level": 3, "quality": "high"}"#), Ok(3));
+        let refused = level(r#"{"level": 4}"#).unwrap_err().to_string();
+        assert!(refused.starts_with("/level: expected a level from 0 to 3"), "{refused}");
     }
 
     #[test]
