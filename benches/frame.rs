@@ -18,6 +18,7 @@ fn frames(criterion: &mut Criterion) {
         transfer: &transfer,
         classification: Some(&classification),
         encodings: Some(&encodings),
+        labels: None,
     };
     let view = |projection, azimuth, elevation| {
         let orbit = Orbit { projection, azimuth, elevation, zoom: 1.3, ..Orbit::default() };

@@ -7,6 +7,7 @@
 //! of them, so a frame is never kept waiting for them.
 
 pub mod cells;
+pub mod labels;
 pub mod marks;
 pub mod preintegration;
 pub mod presets;

@@ -7,11 +7,14 @@ use std::time::{Duration, Instant};
 
 use clap::{Arg, ArgMatches, Args, Command};
 use indicatif::ProgressBar;
+use shearwarp::classify::labels::{LabelTables, Labels};
 use shearwarp::classify::presets::FittedPresets;
 use shearwarp::classify::{Classification, Encodings};
 use shearwarp::render::{Cancel, Image, Scene, Timings, View};
 use shearwarp::service;
-use shearwarp::service::request::{ImageLimits, Kind, Look, OPTIONS, RenderRequest, RequestError, ResolvedRequest};
+use shearwarp::service::request::{
+    ImageLimits, Kind, Look, OPTIONS, RenderRequest, RequestError, ResolvedLabels, ResolvedRequest,
+};
 use shearwarp::volume::decode::{self, Limits, RawLayout};
 use shearwarp::volume::{PreparedVolume, Volume, phantom, pyramid};
 
@@ -146,6 +149,8 @@ pub struct Stage {
     pub classified: Option<Classified>,
     /// The same for each region that shows something.
     of_regions: Vec<Option<Classified>>,
+    /// A segmentation, and its tables.
+    labels: Option<(Volume, LabelTables)>,
     pub request: RenderRequest,
     /// The request before any turn.
     pub resolved: ResolvedRequest,
@@ -186,6 +191,7 @@ impl Stage {
         let volume = loaded.volume;
         let presets = FittedPresets::of(&volume, loaded.modality.as_deref());
         let resolved = request.resolve(&volume, &presets, &LIMITS).map_err(refused)?;
+        let labels = resolved.labels.as_ref().map(|told| labels(&volume, told)).transpose()?;
         let progress = spinner("octree");
         let level = (0..resolved.level()).fold(volume.clone(), |finer, _| pyramid::coarser(&finer));
         let prepared = PreparedVolume::build(level);
@@ -194,7 +200,7 @@ impl Stage {
         let classified = looks.next().flatten();
         let of_regions = looks.collect();
         progress.finish_and_clear();
-        Ok(Self { volume, prepared, classified, of_regions, request, resolved })
+        Ok(Self { volume, prepared, classified, of_regions, labels, request, resolved })
     }
 
     /// The view with the camera turned by `degrees` about the vertical axis.
@@ -214,10 +220,20 @@ impl Stage {
                 transfer: &look.transfer,
                 classification: classified.as_ref().map(|c| &c.classification),
                 encodings: classified.as_ref().and_then(|c| c.encodings.as_ref()).map(|(encodings, _)| encodings),
+                labels: self.labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.scalars(), tables }),
             })
             .collect();
         self.resolved.render(view, &scenes, &Cancel::default()).map_err(|error| Failure::Usage(error.to_string()))
     }
+}
+
+/// The labels that a request names by their file.
+fn labels(volume: &Volume, told: &ResolvedLabels) -> Result<(Volume, LabelTables), Failure> {
+    let labels = decode::load(Path::new(&told.volume), &Limits::default())
+        .map_err(|error| Failure::of(&told.volume)(error.to_string()))?;
+    told.suit(volume, &labels).map_err(refused)?;
+    let tables = told.tables(volume, &labels);
+    Ok((labels, tables))
 }
 
 /// A request that cannot be met was a wrong usage.

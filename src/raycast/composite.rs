@@ -4,6 +4,7 @@ use glam::{DVec3, Vec4};
 
 use super::Stretch;
 use super::field::{Field, Place};
+use crate::classify::labels::Labels;
 use crate::classify::summed_area::octree_for;
 use crate::classify::transfer::{TransferFunction, extinction};
 use crate::render::{DepthCueing, Light, Ray, Sampling, Scene, Settings, Shading, View};
@@ -22,6 +23,7 @@ pub(super) struct Medium<'a, T> {
     shading: Option<&'a Shading>,
     depth_cueing: Option<(DepthCueing, Depth)>,
     sampling: Sampling,
+    labels: Option<Labels<'a>>,
     opaque: f64,
     /// One flag per leaf of the octree, false where all of it is transparent; `None`: every sample is
     /// looked at.
@@ -47,6 +49,7 @@ impl<'a, T: Code> Medium<'a, T> {
             shading: settings.shading.as_ref(),
             depth_cueing: settings.depth_cueing.map(|cueing| (cueing, Depth::new(view, volume))),
             sampling: settings.sampling,
+            labels: scene.labels,
             opaque: f64::from(settings.early_ray_termination),
             occupied,
         }
@@ -78,8 +81,8 @@ impl<'a, T: Code> Medium<'a, T> {
         if self.occupied.as_ref().is_some_and(|occupied| !occupied[self.field.leaf(place)]) {
             return None;
         }
-        if let Some(colors) = self.volume.colors() {
-            let (color, tau) = self.painted(place, &colors.voxels);
+        if self.labels.is_some() || self.volume.colors().is_some() {
+            let (color, tau) = self.painted(place);
             let (color, tau) = self.on_gradient(place, color, tau, -ray.direction);
             return (tau > 0.0).then_some((color, tau));
         }
@@ -94,10 +97,15 @@ impl<'a, T: Code> Medium<'a, T> {
         (tau > 0.0).then_some((color, tau))
     }
 
-    /// Colour and extinction between voxels that have colours of their own.
-    fn painted(&self, place: Place, voxels: &[[u8; 4]]) -> (DVec3, f64) {
+    /// Colour and extinction between voxels that look each as they are.
+    fn painted(&self, place: Place) -> (DVec3, f64) {
+        let colors = self.volume.colors().map_or(&[][..], |colors| &colors.voxels);
         let sum = self.field.interpolated(place, |index| {
-            let [r, g, b, code] = voxels[index].map(f64::from);
+            if let Some(Labels { voxels, tables }) = self.labels {
+                let (color, tau) = tables.look(voxels.code(index), self.volume.scalars().code(index));
+                return (DVec3::from_array(color.map(f64::from)) * f64::from(tau)).extend(tau.into());
+            }
+            let [r, g, b, code] = colors[index].map(f64::from);
             let opacity = self.transfer.opacity(code);
             let weight = match self.sampling {
                 Sampling::Extinction => extinction(opacity, self.reference_length),
@@ -106,6 +114,7 @@ impl<'a, T: Code> Medium<'a, T> {
             (DVec3::new(r, g, b) / 255.0 * weight).extend(weight)
         });
         let tau = match self.sampling {
+            _ if self.labels.is_some() => sum.w,
             Sampling::Extinction => sum.w,
             Sampling::Opacity => extinction(sum.w, self.reference_length),
         };

@@ -19,6 +19,7 @@ use super::factorization::Factorization;
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
 use crate::classify::CodeTables;
+use crate::classify::labels::LabelTables;
 use crate::classify::rle::Voxel;
 use crate::classify::transfer::MAX_OPACITY;
 
@@ -68,10 +69,10 @@ pub trait Light: Copy + Debug + Send + Sync {
     /// Factors on and addends to the colours of consecutive voxels from (i, j, k) on, by their normals' codes.
     fn shade<const N: usize>(self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2];
 
-    /// Where voxels are [`Light::PAINTED`]: the colour of voxel (i, j, k).
+    /// Where voxels are [`Light::PAINTED`]: what stands for the table's entry for a code, at voxel (i, j, k).
     #[inline(always)]
-    fn paint(self, _: [usize; 3]) -> Vec4 {
-        Vec4::ZERO
+    fn paint(self, entry: Vec4, _: u16, _: [usize; 3]) -> Vec4 {
+        entry
     }
 
     /// The same: the weight of its colour among others, by its optical depth.
@@ -148,12 +149,22 @@ pub enum AnyLight<'a> {
     ByRay(ByRay<'a>),
 }
 
-/// Voxels with colours of their own (Kraus and Bürger 2008).
+/// Voxels that look each as they are, and not by their codes alone. What is interpolated between them follows Kraus and Bürger 2008.
 #[derive(Clone, Copy, Debug)]
 pub struct Painted<'a> {
     pub light: AnyLight<'a>,
-    pub colors: Stored<'a, [u8; 4]>,
+    pub paint: Paint<'a>,
     pub sampling: Sampling,
+}
+
+/// Where the looks of voxels come from.
+#[derive(Clone, Copy, Debug)]
+pub enum Paint<'a> {
+    /// Colours of their own; extinction by the transfer function.
+    Colors(Stored<'a, [u8; 4]>),
+    /// Colour and extinction by label, the latter per mm.
+    Labels8(Stored<'a, u8>, &'a LabelTables),
+    Labels16(Stored<'a, u16>, &'a LabelTables),
 }
 
 impl Light for Painted<'_> {
@@ -171,9 +182,16 @@ impl Light for Painted<'_> {
     }
 
     #[inline(always)]
-    fn paint(self, at: [usize; 3]) -> Vec4 {
-        let [r, g, b, _] = self.colors.at(at);
-        Vec4::new(r.into(), g.into(), b.into(), 0.0) / 255.0
+    fn paint(self, entry: Vec4, code: u16, at: [usize; 3]) -> Vec4 {
+        let ([r, g, b], extinction) = match self.paint {
+            Paint::Colors(colors) => {
+                let [r, g, b, _] = colors.at(at).map(f32::from);
+                return (Vec4::new(r, g, b, 0.0) / 255.0).with_w(entry.w);
+            }
+            Paint::Labels8(labels, tables) => tables.look(labels.at(at).into(), code),
+            Paint::Labels16(labels, tables) => tables.look(labels.at(at), code),
+        };
+        Vec4::new(r, g, b, extinction)
     }
 
     #[inline(always)]
@@ -248,6 +266,7 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
     #[inline(always)]
     pub fn color(&self, code: u16, factor: u8, [scale, add]: [f32; 2], at: [usize; 3]) -> Vec4 {
         let entry = self.table[usize::from(code)];
+        let entry = if H::PAINTED { self.light.paint(entry, code, at) } else { entry };
         let alpha = if H::PAINTED {
             let depth = if FACTORED { entry.w * f32::from(factor) / 255.0 } else { entry.w };
             self.light.weight(depth)
@@ -256,7 +275,6 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
         } else {
             entry.w
         };
-        let entry = if H::PAINTED { self.light.paint(at) } else { entry };
         let color = if H::LIT { (entry * scale + Vec4::splat(add)).min(Vec4::ONE) } else { entry };
         (color * alpha).with_w(alpha)
     }

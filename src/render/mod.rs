@@ -22,6 +22,7 @@ use std::time::{Duration, Instant};
 
 use glam::{DVec3, Vec4};
 
+use crate::classify::labels::Labels;
 use crate::classify::{Classification, Encodings, TransferFunction};
 use crate::raycast::raycast;
 use crate::simd;
@@ -344,6 +345,9 @@ pub struct Scene<'a> {
     pub classification: Option<&'a Classification>,
     /// Of that classification, where they are there: frames without are slower and the same.
     pub encodings: Option<&'a Encodings>,
+    /// A segmentation; the transfer function is then the [`crate::classify::labels::union`] of all. For all but
+    /// [`Algorithm::Preintegrated`].
+    pub labels: Option<Labels<'a>>,
 }
 
 /// Refuses what [`render`] would refuse, before anything is built or queued for it.

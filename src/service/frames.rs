@@ -15,10 +15,11 @@ use super::classified::ClassifiedKey;
 use super::error::Problem;
 use super::observe::Rendered;
 use super::render_pool::Ticket;
-use super::request::{RenderRequest, ResolvedRequest};
+use super::request::{RenderRequest, RequestError, ResolvedRequest};
 use super::scene::{self, Parts, Scene3d};
 use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
+use crate::classify::labels::Labels;
 use crate::encode::{Format, encode};
 use crate::render::{self, Background, Image, Scene, Timings};
 
@@ -121,6 +122,8 @@ pub(super) struct Asked {
     id: String,
     volume: Arc<LoadedVolume>,
     frame: ResolvedRequest,
+    /// Where the request names a segmentation.
+    labels: Option<Arc<LoadedVolume>>,
     format: Format,
     /// What stands behind the volume.
     picture: Option<Arc<Image>>,
@@ -152,8 +155,17 @@ impl Asked {
         let arrived = Instant::now();
         let request = request.with_format(format)?;
         let frame = request.resolve(volume.volume(), &volume.presets, &app.config.image.limits())?;
-        let etag = etag(&volume, &frame, format);
-        Ok(Self { arrived, id, volume, frame, format, picture: None, place: None, etag })
+        let labels = frame.labels.as_ref().map(|named| {
+            let labels = app.store.loaded(&named.volume).map_err(|problem| match problem {
+                Problem::NoSuchVolume(_) => RequestError::refused("/labels/volume", "there is no such volume").into(),
+                other => other,
+            })?;
+            named.suit(volume.volume(), labels.volume())?;
+            Ok::<_, Problem>(labels)
+        });
+        let labels = labels.transpose()?;
+        let etag = etag(&volume, labels.as_deref(), &frame, format);
+        Ok(Self { arrived, id, volume, frame, labels, format, picture: None, place: None, etag })
     }
 
     /// The same frame merged with a scene: rays end at its geometry, and its picture is behind the volume.
@@ -226,9 +238,11 @@ impl Asked {
         }
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
-        let picture = self.picture.clone();
+        let (picture, labels) = (self.picture.clone(), self.labels.clone());
         let job = move |cancel: &render::Cancel| {
             let prepared = volume.level(frame.level());
+            let labels = labels.as_ref().map(|labels| labels.volume());
+            let tables = frame.labels.as_ref().zip(labels).map(|(told, labels)| told.tables(volume.volume(), labels));
             let scenes: Vec<_> = frame
                 .looks()
                 .zip(&classified)
@@ -237,6 +251,9 @@ impl Asked {
                     transfer: &look.transfer,
                     classification: classified.as_ref().map(|c| &*c.classification),
                     encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
+                    labels: labels
+                        .zip(tables.as_ref())
+                        .map(|(labels, tables)| Labels { voxels: labels.scalars(), tables }),
                 })
                 .collect();
             let (image, stages) = frame.render(&frame.view, &scenes, cancel)?;
@@ -294,9 +311,11 @@ fn image_size(image: &Image) -> [u32; 3] {
 
 /// A strong validator: equal where every byte of the frame is. Frames are the same bit for bit
 /// whatever the number of threads, so what they are made from names them.
-fn etag(volume: &LoadedVolume, frame: &ResolvedRequest, format: Format) -> String {
+fn etag(volume: &LoadedVolume, labels: Option<&LoadedVolume>, frame: &ResolvedRequest, format: Format) -> String {
     let program = env!("CARGO_PKG_VERSION");
-    let made_from = format!("{:032x} {} {program} {}", volume.fingerprint, format.name(), frame.canonical());
+    let labels = labels.map_or(0, |labels| labels.fingerprint);
+    let made_from =
+        format!("{:032x} {labels:032x} {} {program} {}", volume.fingerprint, format.name(), frame.canonical());
     format!("\"{:032x}\"", xxh3_128(made_from.as_bytes()))
 }
 

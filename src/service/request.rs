@@ -18,14 +18,14 @@ use glam::DMat4;
 use serde_json::Value;
 
 pub use crate::classify::InvalidField;
-use crate::classify::TransferFunction;
+use crate::classify::{Color, TransferFunction};
 use crate::encode::Format;
 use crate::render::{
     Background, Camera, Clip, DepthCueing, IntensityProjection, Preintegration, Quality, Sampling, Shading,
 };
 use fields::WindowFields;
 pub use options::{Kind, OPTIONS, RequestOption};
-pub use resolve::{ImageLimits, Look, ResolvedRequest};
+pub use resolve::{ImageLimits, Look, ResolvedLabels, ResolvedRequest};
 
 /// Why there is no request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -113,7 +113,26 @@ pub struct RenderRequest {
     cut_out: Vec<Clip>,
     /// Of two that hold a point the later one is meant.
     regions: Vec<RegionRequest>,
+    labels: Option<LabelsRequest>,
     spelling: Spelling,
+}
+
+/// What is told of a segmentation.
+#[derive(Clone, Debug, PartialEq)]
+struct LabelsRequest {
+    /// The id of its volume.
+    volume: String,
+    looks: Vec<LabelRequest>,
+}
+
+/// What voxels of a label look like. What is not told is as without labels.
+#[derive(Clone, Debug, PartialEq)]
+struct LabelRequest {
+    label: u16,
+    /// Factor of the transfer function's opacities.
+    opacity: f64,
+    color: Option<Color>,
+    transfer: Option<Transfer>,
 }
 
 /// What is shown in another way within a convex region. What is not told is as around.

@@ -6,6 +6,7 @@ mod contract;
 mod encodings;
 mod errors;
 mod frames;
+mod labels;
 mod overload;
 mod scene;
 mod service;

@@ -8,6 +8,7 @@ mod draft;
 mod equivalence;
 mod golden;
 mod invariance;
+mod labels;
 mod layering;
 mod perspective;
 mod projections;

@@ -44,6 +44,7 @@ impl Prepared {
             transfer: &self.transfer,
             classification: Some(&self.classified[1].0),
             encodings: None,
+            labels: None,
         };
         raycast(&scene, view, settings, &Cancel::default()).unwrap()
     }
@@ -61,6 +62,7 @@ impl Prepared {
             transfer: &self.transfer,
             classification: Some(classification),
             encodings,
+            labels: None,
         };
         render(&scene, view, settings, &Cancel::default()).unwrap().0
     }
@@ -76,6 +78,7 @@ impl Prepared {
             transfer: &self.transfer,
             classification: Some(classification),
             encodings: (encoded && algorithm != Algorithm::FastClassification).then_some(encodings),
+            labels: None,
         }
     }
 }

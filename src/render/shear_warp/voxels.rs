@@ -2,6 +2,7 @@
 
 use super::{Begun, Pass};
 use crate::classify::Encodings;
+use crate::classify::labels::Labels;
 use crate::render::composite::lattice::{Scaled, Unit};
 use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::LeafRows;
@@ -9,8 +10,9 @@ use crate::render::composite::samples::{VoxelLight, VoxelRows};
 use crate::render::composite::sources::{Stored, StoredNormals, Unencoded, VoxelSource};
 use crate::render::composite::voxels::{VoxelLattice, Voxels};
 use crate::render::intermediate::IntermediateImage;
-use crate::render::material::{AnyLight, ByNormal, ByRay, Light, Material, Painted, SliceTables, Unlit};
+use crate::render::material::{AnyLight, ByNormal, ByRay, Light, Material, Paint, Painted, SliceTables, Unlit};
 use crate::render::{RenderError, Sampling};
+use crate::volume::Scalars;
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
@@ -44,14 +46,13 @@ impl Pass<'_> {
     }
 
     fn with_source<V: VoxelSource>(&self, source: V, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
-        if let Some(colors) = self.scene.prepared.volume().colors() {
+        if let Some(paint) = self.paint() {
             let light = match (self.table, self.ray_light) {
                 (Some(table), _) => AnyLight::ByNormal(ByNormal::new(table)),
                 (None, Some(light)) => AnyLight::ByRay(ByRay(light)),
                 (None, None) => AnyLight::Unlit,
             };
-            let colors = Stored::new(&colors.voxels, self.factorization);
-            let painted = Painted { light, colors, sampling: self.settings.sampling };
+            let painted = Painted { light, paint, sampling: self.settings.sampling };
             return if self.factorization.is_parallel() {
                 self.with_light(Unit, source, painted, image)
             } else {
@@ -64,6 +65,18 @@ impl Pass<'_> {
             (None, None, true) => self.with_light(Unit, source, Unlit, image),
             (None, None, false) => self.with_light(Scaled, source, Unlit, image),
         }
+    }
+
+    /// What voxels look like by themselves, where they do.
+    fn paint(&self) -> Option<Paint<'_>> {
+        if let Some(Labels { voxels, tables }) = self.scene.labels {
+            return Some(match voxels {
+                Scalars::U8(labels) => Paint::Labels8(Stored::new(labels, self.factorization), tables),
+                Scalars::U16(labels) => Paint::Labels16(Stored::new(labels, self.factorization), tables),
+            });
+        }
+        let colors = self.scene.prepared.volume().colors()?;
+        Some(Paint::Colors(Stored::new(&colors.voxels, self.factorization)))
     }
 
     fn with_light<L: VoxelLattice + NaiveLattice, V: VoxelSource, H: Light>(
@@ -79,6 +92,8 @@ impl Pass<'_> {
             let volume = self.scene.prepared.volume();
             self.scene.transfer.reference_length(volume.smallest_spacing())
         });
+        // Of labels' extinctions, 1 mm.
+        let length = length.or(self.scene.labels.map(|_| 1.0));
         let lengths = length.map(|length| self.factorization.slice_distance / length);
         let optical_depth = factored || H::PAINTED;
         let tables = SliceTables::new(self.classification.tables(), self.factorization, length, optical_depth);

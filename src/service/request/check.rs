@@ -8,10 +8,13 @@ use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 
 use super::fields::{
     Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, HullFields, ImageFields, Keep,
-    LightFields, LightName, LookAtFields, MatricesFields, PlaneFields, PreintegrationFields, RegionFields,
-    ShadingFields, SphereFields, WindowFields,
+    LabelFields, LabelsFields, LightFields, LightName, LookAtFields, MatricesFields, PlaneFields, PreintegrationFields,
+    RegionFields, ShadingFields, SphereFields, WindowFields,
 };
-use super::{AlgorithmChoice, InvalidField, RegionRequest, RenderRequest, ShadingChoice, Spelling, Transfer};
+use super::{
+    AlgorithmChoice, InvalidField, LabelRequest, LabelsRequest, RegionRequest, RenderRequest, ShadingChoice, Spelling,
+    Transfer,
+};
 use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
 use crate::render::regions::MAX_REGIONS;
@@ -49,6 +52,8 @@ const CUE_DENSITY: RangeInclusive<f64> = 0.0..=100.0;
 const ENTRIES: RangeInclusive<f64> = 2.0..=1024.0;
 /// Beyond, slabs are shorter than what 8-bit pixels tell apart.
 const SAMPLES_PER_VOXEL: RangeInclusive<f64> = 1.0..=8.0;
+/// Labels of a segmentation that something is told of.
+const MAX_LABELS: usize = 64;
 /// Points of a convex hull. Its sides are found by trying all planes through three of them.
 const MAX_HULL: usize = 32;
 /// Of a sphere, mm.
@@ -83,6 +88,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     let preintegration = refusals.preintegration(fields.quality, fields.preintegration.as_ref());
     let depth_cueing = fields.depth_cueing.as_ref().map(|cueing| refusals.depth_cueing(cueing));
     let (clip, cut_out) = refusals.clip(fields.clip.unwrap_or_default());
+    let labels = fields.labels.map(|labels| refusals.labels(labels));
     let regions = refusals.regions(fields.regions.unwrap_or_default(), projection, fields.algorithm);
     let request = RenderRequest {
         camera,
@@ -106,6 +112,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
         clip,
         cut_out,
         regions,
+        labels,
         spelling: Spelling::Json,
     };
     if refusals.0.is_empty() { Ok(request) } else { Err(refusals.0) }
@@ -412,6 +419,30 @@ impl Refusals {
             }
         };
         regions.into_iter().enumerate().map(region).collect()
+    }
+
+    fn labels(&mut self, fields: LabelsFields) -> LabelsRequest {
+        if fields.looks.len() > MAX_LABELS {
+            self.refuse("/labels/looks", format!("expected at most {MAX_LABELS} labels, got {}", fields.looks.len()));
+        }
+        let look = |(index, look): (usize, LabelFields)| {
+            let place = format!("/labels/looks/{index}");
+            self.range(format!("{place}/opacity"), look.opacity, REGION_OPACITY);
+            let color = look.color.and_then(|text| {
+                let color = Color::from_hex(&text);
+                if color.is_none() {
+                    self.refuse(format!("{place}/color"), "expected \"#rrggbb\"");
+                }
+                color
+            });
+            LabelRequest {
+                label: look.label,
+                opacity: if look.visible == Some(false) { 0.0 } else { look.opacity.unwrap_or(1.0) },
+                color,
+                transfer: look.transfer_function.map(|transfer| self.transfer(&place, Some(transfer))),
+            }
+        };
+        LabelsRequest { volume: fields.volume, looks: fields.looks.into_iter().enumerate().map(look).collect() }
     }
 
     /// A convex part of the world; `place` points to what tells it.

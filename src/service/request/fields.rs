@@ -29,6 +29,7 @@ pub struct Fields {
     pub depth_cueing: Option<DepthCueingFields>,
     pub clip: Option<Vec<ClipFields>>,
     pub regions: Option<Vec<RegionFields>>,
+    pub labels: Option<LabelsFields>,
     pub preintegration: Option<PreintegrationFields>,
 }
 
@@ -159,6 +160,27 @@ pub struct RegionFields {
     pub shading: Option<Either<bool, ShadingFields>>,
     pub blend: Option<Blend>,
     pub window: Option<WindowFields>,
+}
+
+/// A segmentation, and what is told of its labels.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LabelsFields {
+    /// The volume of labels.
+    pub volume: String,
+    #[serde(default)]
+    pub looks: Vec<LabelFields>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LabelFields {
+    pub label: u16,
+    pub visible: Option<bool>,
+    pub color: Option<String>,
+    /// Factor of the transfer function's opacities.
+    pub opacity: Option<f64>,
+    pub transfer_function: Option<Either<String, TransferFunction>>,
 }
 
 #[derive(serde::Deserialize)]

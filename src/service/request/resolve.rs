@@ -1,7 +1,11 @@
 //! [`RenderRequest`] + volume -> what the renderer takes, with every default filled in.
 
 use super::fields::WindowFields;
-use super::{AlgorithmChoice, InvalidField, RegionRequest, RenderRequest, RequestError, ShadingChoice, Transfer};
+use super::{
+    AlgorithmChoice, InvalidField, LabelRequest, LabelsRequest, RegionRequest, RenderRequest, RequestError,
+    ShadingChoice, Transfer,
+};
+use crate::classify::labels::{LabelLook, LabelTables, union};
 use crate::classify::presets::{self, FittedPresets};
 use crate::classify::{Purpose, TransferFunction};
 use crate::encode::Format;
@@ -30,10 +34,52 @@ pub struct ResolvedRequest {
     pub view: View,
     /// Of the volume; of its background too.
     pub look: Look,
+    /// A segmentation by which voxels look otherwise; the look's transfer function is then the union of all.
+    pub labels: Option<ResolvedLabels>,
     /// Where it looks otherwise, in order: of two that hold a point the later one is meant.
     pub regions: Vec<RegionLook>,
     /// `None`: the request leaves it open.
     pub format: Option<Format>,
+}
+
+/// How voxels look by their labels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResolvedLabels {
+    /// The id of the volume of labels.
+    pub volume: String,
+    looks: Vec<LabelLook>,
+    /// Of voxels with other labels.
+    others: TransferFunction,
+    min_opacity: f64,
+}
+
+impl ResolvedLabels {
+    /// Refuses a volume of labels that is not on the volume's grid.
+    ///
+    /// # Errors
+    /// [`RequestError::Refused`], for the field that names it.
+    pub fn suit(&self, volume: &Volume, labels: &Volume) -> Result<(), RequestError> {
+        let refused = |detail: String| Err(RequestError::refused("/labels/volume", detail));
+        let (wanted, got) = (volume.dims(), labels.dims());
+        if wanted != got {
+            return refused(format!("expected labels on the volume's grid of {wanted:?} voxels, got {got:?}"));
+        }
+        if labels.colors().is_some() {
+            return refused("expected labels, got colours".into());
+        }
+        let [a, b] = [volume, labels].map(Volume::world_from_index);
+        let apart = (a - b).to_cols_array().iter().fold(0.0, |most: f64, element| most.max(element.abs()));
+        let extent = 1e-3 * volume.smallest_spacing();
+        if apart > extent {
+            return refused("expected labels on the volume's grid, got another place, spacing or orientation".into());
+        }
+        Ok(())
+    }
+
+    /// The tables of both volumes.
+    pub fn tables(&self, volume: &Volume, labels: &Volume) -> LabelTables {
+        LabelTables::new(volume, labels, &self.looks, &self.others, self.min_opacity)
+    }
 }
 
 /// How the volume, or a part of it, looks.
@@ -93,7 +139,9 @@ impl RenderRequest {
         self.suits(volume)?;
         let view = self.view(volume)?;
         let level = self.level(volume, &view)?;
-        let look = self.look(volume, presets, level, None)?;
+        let mut look = self.look(volume, presets, level, None)?;
+        let labels =
+            self.labels.as_ref().map(|labels| self.by_label(labels, &mut look, volume, presets)).transpose()?;
         render::check(volume, &view, &look.settings).map_err(refused)?;
         let shown = self.regions.iter().enumerate().map(|(index, region)| {
             let look = self.look(volume, presets, level, Some((index, region)))?;
@@ -109,7 +157,40 @@ impl RenderRequest {
         // What is cut out stays so, whatever is to be shown there.
         let cut_out = self.cut_out.iter().map(|shape| Ok(RegionLook { shape: shape.clone(), look: None }));
         let regions = shown.chain(cut_out).collect::<Result<_, RequestError>>()?;
-        Ok(ResolvedRequest { view, look, regions, format: self.format })
+        Ok(ResolvedRequest { view, look, labels, regions, format: self.format })
+    }
+
+    /// The looks of labels; that of the volume becomes one for all.
+    fn by_label(
+        &self,
+        labels: &LabelsRequest,
+        look: &mut Look,
+        volume: &Volume,
+        presets: &FittedPresets,
+    ) -> Result<ResolvedLabels, RequestError> {
+        let of_label = |(index, told): (usize, &LabelRequest)| {
+            let mut transfer = match &told.transfer {
+                None => look.transfer.clone(),
+                Some(transfer) => fitted(transfer, presets, &format!("/labels/looks/{index}/transfer_function"))?.0,
+            };
+            transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
+            for point in &mut transfer.points {
+                point.opacity *= told.opacity;
+                point.color = told.color.unwrap_or(point.color);
+            }
+            Ok(LabelLook { label: told.label, transfer })
+        };
+        let looks = labels.looks.iter().enumerate().map(of_label).collect::<Result<Vec<_>, RequestError>>()?;
+        let others = look.transfer.clone();
+        let all = looks.iter().map(|look| &look.transfer).chain([&others]);
+        if all.clone().any(|transfer| !transfer.gradient_opacity.is_empty()) {
+            return Err(RequestError::refused("/labels", "go with transfer functions without gradient_opacity"));
+        }
+        // What is skipped is transparent for every label.
+        look.transfer = union(all, volume.smallest_spacing());
+        let min_opacity = if look.settings.algorithm == Algorithm::Raycast { 0.0 } else { look.min_opacity };
+        look.min_opacity = 0.0;
+        Ok(ResolvedLabels { volume: labels.volume.clone(), looks, others, min_opacity })
     }
 
     /// How the volume looks, in a region if there is one.
@@ -175,11 +256,28 @@ impl RenderRequest {
         if volume.colors().is_none() && self.sampling.is_some() {
             return Err(RequestError::refused("/sampling", "belongs to colour volumes, and this one is of scalars"));
         }
-        if volume.colors().is_some() && self.algorithm == AlgorithmChoice::Preintegrated && self.projection.is_none() {
-            let detail = "pre-integration is of scalars: a colour volume is rendered by classified, fast-classification and raycast";
+        if self.is_of_voxels(volume) && self.algorithm == AlgorithmChoice::Preintegrated && self.projection.is_none() {
+            let detail = "pre-integration is of scalars: colours and labels are rendered by classified, fast-classification and raycast";
             return Err(RequestError::refused("/algorithm", detail));
         }
+        if self.labels.is_some() {
+            for (pointer, there, detail) in [
+                ("/labels", volume.colors().is_some(), "belong to volumes of scalars"),
+                ("/labels", self.projection.is_some(), "belong to the blend composite"),
+                ("/regions", !self.regions.is_empty(), "do not go with labels"),
+                ("/level", self.level.is_some_and(|level| level > 0), "labels have level 0 only"),
+            ] {
+                if there {
+                    return Err(RequestError::refused(pointer, detail));
+                }
+            }
+        }
         Ok(())
+    }
+
+    /// True where voxels look each as they are, and not by their scalars alone.
+    fn is_of_voxels(&self, volume: &Volume) -> bool {
+        volume.colors().is_some() || self.labels.is_some()
     }
 
     /// The level that is told, or else 0, and for drafts the finest whose voxels are larger than pixels, at least 1.
@@ -193,7 +291,7 @@ impl RenderRequest {
                 RequestError::refused("/level", detail)
             });
         }
-        if self.quality != Quality::Draft || self.algorithm(volume) == Algorithm::Raycast {
+        if self.quality != Quality::Draft || self.labels.is_some() || self.algorithm(volume) == Algorithm::Raycast {
             return Ok(0);
         }
         let voxels = view.pixel_size(volume.centre()) / volume.smallest_spacing();
@@ -203,7 +301,7 @@ impl RenderRequest {
     /// `auto` is resolved from the request and the kind of the volume alone.
     fn algorithm(&self, volume: &Volume) -> Algorithm {
         match self.algorithm {
-            AlgorithmChoice::Auto if volume.colors().is_some() && self.projection.is_none() => match self.quality {
+            AlgorithmChoice::Auto if self.is_of_voxels(volume) && self.projection.is_none() => match self.quality {
                 Quality::Draft | Quality::Standard => Algorithm::Classified,
                 Quality::High => Algorithm::Raycast,
             },
@@ -273,7 +371,8 @@ impl ResolvedRequest {
         let regions = self.regions.iter().map(|RegionLook { shape, look }| {
             format!(" {shape:?} {}", look.as_ref().map_or("nothing".into(), Look::canonical))
         });
-        format!("{frame} {}{}", self.look.canonical(), regions.collect::<String>())
+        let labels = self.labels.as_ref().map_or(String::new(), |labels| format!(" {labels:?}"));
+        format!("{frame} {}{}{labels}", self.look.canonical(), regions.collect::<String>())
     }
 }
 

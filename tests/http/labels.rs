@@ -1,0 +1,100 @@
+//! Segmentations: another volume by which voxels look otherwise.
+
+use crate::service::{Running, header, problem, write_ball};
+
+const FRAME: &str = "/v1/volumes/ball/frame";
+/// Voxels along each side of the ball's volume.
+const SIDE: usize = 24;
+
+/// The ball, and its halves by number: 1 on the patient's right, 2 on the left.
+async fn running() -> Running {
+    let folder = tempfile::tempdir().unwrap();
+    write_ball(&folder.path().join("ball.nrrd"), 8.0);
+    write_ball(&folder.path().join("other.nrrd"), 4.0);
+    let header =
+        format!("NRRD0004\ntype: ushort\ndimension: 3\nsizes: {SIDE} {SIDE} {SIDE}\nencoding: raw\nendian: little\n");
+    let halves: Vec<u8> = (0..SIDE.pow(3)).flat_map(|n| [if n % SIDE < SIDE / 2 { 1 } else { 2 }, 0]).collect();
+    for (name, spacings) in [("halves", "1 1 1"), ("elsewhere", "1 1 2")] {
+        let file = [format!("{header}spacings: {spacings}\n\n").into_bytes(), halves.clone()].concat();
+        std::fs::write(folder.path().join(format!("{name}.nrrd")), file).unwrap();
+    }
+    let small = b"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n\n12345678";
+    std::fs::write(folder.path().join("small.nrrd"), small).unwrap();
+    Running::start_in(folder, "").await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn labels_are_hidden_coloured_and_shown_by_other_transfer_functions() {
+    let service = running().await;
+    let points = |color: &str| {
+        format!(
+            r#"{{"points": [{{"value": 50, "opacity": 0, "color": "{color}"}}, {{"value": 150, "opacity": 0.9, "color": "{color}"}}]}}"#
+        )
+    };
+    let red = points("#ff0000");
+    for (looks, algorithm, left, right) in [
+        (String::new(), "", [255, 0, 0], [255, 0, 0]),
+        (r#"{"label": 2, "visible": false}"#.into(), "", [255, 0, 0], [0, 0, 0]),
+        (r##"{"label": 1, "color": "#0000ff"}"##.into(), "", [0, 0, 255], [255, 0, 0]),
+        (
+            r##"{"label": 1, "color": "#0000ff"}"##.into(),
+            r#", "algorithm": "fast-classification""#,
+            [0, 0, 255],
+            [255, 0, 0],
+        ),
+        (r##"{"label": 1, "color": "#0000ff"}"##.into(), r#", "quality": "high""#, [0, 0, 255], [255, 0, 0]),
+        (r##"{"label": 1, "color": "#0000ff"}"##.into(), r#", "quality": "draft""#, [0, 0, 255], [255, 0, 0]),
+        (
+            format!(r#"{{"label": 1, "visible": false}}, {{"label": 2, "transfer_function": {}}}"#, points("#00ff00")),
+            "",
+            [0, 0, 0],
+            [0, 255, 0],
+        ),
+    ] {
+        let body = format!(
+            r#"{{"image": {{"width": 32, "height": 32, "format": "raw"}}, "shading": false, "transfer_function": {red},
+            "labels": {{"volume": "halves", "looks": [{looks}]}}{algorithm}}}"#
+        );
+        let response = service.post(FRAME, &body).await;
+        assert_eq!(response.status(), 200, "{body}");
+        let pixels = response.bytes().await.unwrap();
+        let at = |x: usize| <[u8; 3]>::try_from(&pixels[3 * (32 * 16 + x)..][..3]).unwrap();
+        let near = |a: [u8; 3], b: [u8; 3]| a.iter().zip(b).all(|(a, b)| a.abs_diff(b) <= 4);
+        assert!(near(at(12), left) && near(at(19), right), "{body}: {:?} {:?}", at(12), at(19));
+    }
+    let etag = async |looks: &str| {
+        let body = format!(
+            r#"{{"image": {{"width": 8, "height": 8}}, "labels": {{"volume": "halves", "looks": [{looks}]}}}}"#
+        );
+        header(&service.post(FRAME, &body).await, "etag").to_owned()
+    };
+    assert_ne!(etag("").await, etag(r#"{"label": 1, "opacity": 0.5}"#).await);
+    assert_eq!(etag(r#"{"label": 1, "visible": false}"#).await, etag(r#"{"label": 1, "opacity": 0}"#).await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn labels_that_do_not_fit_are_refused() {
+    let service = running().await;
+    for (fields, pointer) in [
+        (r#""labels": {"volume": "none"}"#, "/labels/volume"),
+        (r#""labels": {"volume": "small"}"#, "/labels/volume"),
+        (r#""labels": {"volume": "elsewhere"}"#, "/labels/volume"),
+        (r#""labels": {}"#, "/labels"),
+        (r#""labels": {"volume": "halves", "looks": [{}]}"#, "/labels/looks/0"),
+        (r#""labels": {"volume": "halves", "looks": [{"label": -1}]}"#, "/labels/looks/0/label"),
+        (r#""labels": {"volume": "halves", "looks": [{"label": 1, "color": "red"}]}"#, "/labels/looks/0/color"),
+        (r#""labels": {"volume": "halves", "looks": [{"label": 1, "opacity": 2}]}"#, "/labels/looks/0/opacity"),
+        (
+            r#""labels": {"volume": "halves", "looks": [{"label": 1, "transfer_function": "none"}]}"#,
+            "/labels/looks/0/transfer_function",
+        ),
+        (r#""labels": {"volume": "halves"}, "transfer_function": "ct-vessels""#, "/labels"),
+        (r#""labels": {"volume": "halves"}, "algorithm": "preintegrated""#, "/algorithm"),
+        (r#""labels": {"volume": "halves"}, "blend": "maximum""#, "/labels"),
+        (r#""labels": {"volume": "halves"}, "level": 1"#, "/level"),
+        (r#""labels": {"volume": "halves"}, "regions": [{"sphere": {"center": [0, 0, 0], "radius": 1}}]"#, "/regions"),
+    ] {
+        let problem = problem(service.post(FRAME, &format!("{{{fields}}}")).await).await;
+        assert_eq!((&problem["status"], &problem["errors"][0]["pointer"]), (&422.into(), &pointer.into()), "{fields}");
+    }
+}
