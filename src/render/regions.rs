@@ -40,9 +40,9 @@ pub struct Region<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Which {
     /// Pieces before it, along a ray.
-    before: usize,
+    before: u8,
     /// The region that they lie in; `None`: in none.
-    within: Option<usize>,
+    within: Option<u8>,
 }
 
 /// What is shown in the pieces of a layer.
@@ -53,7 +53,7 @@ pub(super) fn shown<'a>(
 ) -> Option<(&'a Scene<'a>, &'a Settings)> {
     match which.within {
         None => Some(around),
-        Some(region) => regions[region].shown.as_ref().map(|(scene, settings)| (scene, *settings)),
+        Some(region) => regions[usize::from(region)].shown.as_ref().map(|(scene, settings)| (scene, *settings)),
     }
 }
 
@@ -88,7 +88,7 @@ fn pieces(
         if end <= at {
             continue;
         }
-        let within = inside.iter().rposition(|span| span[0] <= at && end <= span[1]);
+        let within = inside.iter().rposition(|span| span[0] <= at && end <= span[1]).map(|region| region as u8);
         piece = Some(match piece {
             Some((which, [from, _])) if which.within == within => (which, [from, end]),
             Some((which, span)) => {
@@ -135,7 +135,7 @@ impl Layer {
 pub(super) struct Layers {
     size: [usize; 2],
     /// By scanline: the pixel, and what is seen there.
-    pieces: Vec<Vec<(usize, Which, Stretch)>>,
+    pieces: Vec<Vec<(u32, Which, Stretch)>>,
 }
 
 impl Layers {
@@ -170,7 +170,7 @@ impl Layers {
                 pieces(&shapes, start, step, [enter, leave.min(end)], |which, [from, to]| {
                     let from = if from > enter { from as f32 } else { f32::NEG_INFINITY };
                     let to = if to < leave { to as f32 } else { f32::INFINITY };
-                    found.push((u, which, Stretch { from, to }));
+                    found.push((u as u32, which, Stretch { from, to }));
                 });
             }
             found
@@ -180,7 +180,7 @@ impl Layers {
 
     /// The layers there are, front to back.
     pub fn which(&self) -> BTreeSet<Which> {
-        let of_scanline = |pieces: &Vec<(usize, Which, Stretch)>| pieces.iter().map(|(_, which, _)| *which).collect();
+        let of_scanline = |pieces: &Vec<(u32, Which, Stretch)>| pieces.iter().map(|(_, which, _)| *which).collect();
         self.pieces.par_iter().map(of_scanline).reduce(BTreeSet::new, |mut all: BTreeSet<_>, some| {
             all.extend(some);
             all
@@ -190,9 +190,10 @@ impl Layers {
     /// What is seen of a layer behind an image: nothing where that is as opaque as `termination`.
     pub fn limits(&self, which: Which, image: &IntermediateImage, termination: f32) -> Limits {
         Limits::new(self.size, |v, row| {
-            for (u, piece, stretch) in &self.pieces[v] {
-                if *piece == which && image.opacity(*u, v) < termination {
-                    row[*u] = *stretch;
+            for &(u, piece, stretch) in &self.pieces[v] {
+                let u = u as usize;
+                if piece == which && image.opacity(u, v) < termination {
+                    row[u] = stretch;
                 }
             }
         })
@@ -296,8 +297,8 @@ mod tests {
     fn pieces(shapes: &[Clip]) -> Vec<(Option<usize>, [f64; 2])> {
         let mut found = vec![];
         super::pieces(shapes, DVec3::X * -20.0, DVec3::X, [0.0, 40.0], |which, span| {
-            assert_eq!(which.before, found.len());
-            found.push((which.within, span.map(|at| ((at - 20.0) * 1e6).round() / 1e6)));
+            assert_eq!(usize::from(which.before), found.len());
+            found.push((which.within.map(usize::from), span.map(|at| ((at - 20.0) * 1e6).round() / 1e6)));
         });
         found
     }
