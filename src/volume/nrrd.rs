@@ -83,6 +83,9 @@ fn header(fields: &TextFields) -> Result<Header, DecodeError> {
     let product = |sizes: &[u64]| sizes.iter().try_fold(1_u64, |product, &n| product.checked_mul(n));
     let overflow = || fields.malformed(&format!("expected sizes with a product below 2^64, got {sizes:?}"));
     let components = components(fields).unwrap_or(1);
+    if components > 1 && first != 1 {
+        return Err(fields.unsupported("expected the axis of colours first, and three axes of space behind it"));
+    }
     let interleaved = product(&sizes[..first]).ok_or_else(overflow)? / components;
     let volumes = product(&sizes[first + 3..]).ok_or_else(overflow)?;
     let scalar_type = scalar_type(fields)?;

@@ -103,8 +103,9 @@ fn taps(at: usize, n: usize) -> Taps {
 }
 
 /// The voxels of `n` along an axis that a box of `width` covers around coarse voxel `at`, and their weights. Beyond the
-/// outermost voxels lies more of them.
+/// outermost voxels lies more of them. Two voxels stay two, each itself.
 fn covered(at: usize, n: usize, width: f64) -> impl Iterator<Item = (usize, f64)> {
+    let width = if halved(n) == n { 1.0 } else { width };
     let place = at as f64 * spacing(n);
     let [from, to] = [place - width / 2.0, place + width / 2.0];
     ((from + 0.5).floor() as isize..=(to + 0.5).floor() as isize).filter_map(move |voxel| {
@@ -212,6 +213,21 @@ mod tests {
     fn a_pyramid_ends_where_there_is_little_left() {
         for (largest, count) in [(2, 2), (64, 2), (65, 2), (128, 2), (129, 3), (256, 3), (512, 4)] {
             assert_eq!(levels([2, largest, 3]), count, "{largest}");
+        }
+    }
+
+    #[test]
+    fn two_voxels_of_colour_stay_two() {
+        let (dims, red, blue) = ([9, 8, 2], [255, 0, 0, 255], [0, 0, 255, 255]);
+        let voxels = [vec![red; 72], vec![blue; 72]].concat();
+        let report = ImportReport::plain("test", ScalarType::U8);
+        let placement = Placement::from_spacing(DVec3::ONE);
+        let volume = Volume::of_colors(dims, placement, Colors { voxels, has_alpha: true }, report).unwrap();
+        for filter in [BoxFilter::Two, BoxFilter::Four] {
+            let coarse = coarser_by(&volume, filter);
+            assert_eq!(coarse.dims(), [5, 4, 2]);
+            let (front, back) = coarse.colors().unwrap().voxels.split_at(20);
+            assert!(front.iter().all(|voxel| *voxel == red) && back.iter().all(|voxel| *voxel == blue));
         }
     }
 

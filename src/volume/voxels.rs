@@ -67,8 +67,8 @@ impl Header {
             self.volume(dims, narrowed)?
         } else {
             let (format, scalar_type) = (self.format, self.scalar_type);
-            if scalar_type != ScalarType::U8 || self.interleaved != 1 {
-                let message = format!("{format}: expected colours of one volume in 8 bits, got {}", scalar_type.name());
+            if scalar_type != ScalarType::U8 {
+                let message = format!("{format}: expected colours of 8 bits, got {}", scalar_type.name());
                 return Err(DecodeError::Unsupported(message));
             }
             let report = ImportReport { volumes_left_out: self.following, ..ImportReport::plain(format, scalar_type) };

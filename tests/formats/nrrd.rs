@@ -111,7 +111,10 @@ fn colours_are_read_and_other_vectors_refused() {
     for (kind, count) in [("RGB-color", 4), ("vector", 2), ("3-matrix", 9), ("quaternion", 4)] {
         assert_says(file(kind, count, "uchar"), &format!("got an axis of kind {kind}"));
     }
-    assert_says(file("RGB-color", 3, "float"), "expected colours of one volume in 8 bits, got f32");
+    let spatial = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 3 4 5\nencoding: raw\nkinds: RGB-color domain domain\n\
+                   space: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n\n";
+    assert_says(read(&attached(spatial, &components(1))), "expected the axis of colours first");
+    assert_says(file("RGB-color", 3, "float"), "expected colours of 8 bits, got f32");
 }
 
 #[test]
