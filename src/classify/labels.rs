@@ -50,6 +50,11 @@ impl LabelTables {
         }
     }
 
+    /// Bytes in memory.
+    pub fn bytes(&self) -> u64 {
+        self.by_code.len() as u64 + self.tables.iter().map(CodeTables::bytes).sum::<u64>()
+    }
+
     /// Colour and extinction per mm of a voxel, by its label's code and its own.
     #[inline(always)]
     pub fn look(&self, label: u16, code: u16) -> ([f32; 3], f32) {
@@ -65,25 +70,36 @@ pub struct Labels<'a> {
     pub tables: &'a LabelTables,
 }
 
-/// A transfer function that shows nothing only where none of several shows anything: what is skipped by it is transparent,
+/// A transfer function that shows nothing exactly where none of several shows anything: what is skipped by it is transparent,
 /// whatever its label.
-pub fn union<'a>(
-    transfers: impl Iterator<Item = &'a TransferFunction> + Clone,
-    opacity_distance: f64,
-) -> TransferFunction {
-    let mut values: Vec<f64> =
-        transfers.clone().flat_map(|transfer| &transfer.points).map(|point| point.value).collect();
-    values.sort_unstable_by(f64::total_cmp);
-    values.dedup();
-    let shows = |value: f64| {
-        transfers.clone().any(|transfer| {
-            let at_step = transfer.points.iter().any(|point| point.value == value && point.opacity > 0.0);
-            at_step || transfer.opacity(value) > 0.0
-        })
-    };
-    let point = |value: f64| ControlPoint { value, opacity: f64::from(u8::from(shows(value))), color: Color([1.0; 3]) };
+pub fn union<'a>(transfers: impl Iterator<Item = &'a TransferFunction>, opacity_distance: f64) -> TransferFunction {
+    // Something shows between two points of which one does, and beyond the outermost ones as on them.
+    let mut shown: Vec<[f64; 2]> = vec![];
+    for TransferFunction { points, .. } in transfers {
+        let outer = [(points.first(), f64::NEG_INFINITY), (points.last(), f64::INFINITY)];
+        let outer =
+            outer.into_iter().filter_map(|(point, beyond)| Some((point.filter(|p| p.opacity > 0.0)?.value, beyond)));
+        shown.extend(outer.map(|(value, beyond)| [value.min(beyond), value.max(beyond)]));
+        let pairs = points.windows(2).filter(|pair| pair.iter().any(|point| point.opacity > 0.0));
+        shown.extend(pairs.map(|pair| [pair[0].value, pair[1].value]));
+    }
+    shown.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
+    shown.dedup_by(|next, last| {
+        let meet = next[0] <= last[1];
+        if meet {
+            last[1] = last[1].max(next[1]);
+        }
+        meet
+    });
+    let corners = |&[from, to]: &[f64; 2]| [(from, 0.0), (from, 1.0), (to, 1.0), (to, 0.0)];
+    let mut corners: Vec<_> = shown.iter().flat_map(corners).filter(|(value, _)| value.is_finite()).collect();
+    corners.dedup();
+    if corners.is_empty() {
+        corners.push((0.0, if shown.is_empty() { 0.0 } else { 1.0 }));
+    }
+    let point = |(value, opacity)| ControlPoint { value, opacity, color: Color([1.0; 3]) };
     TransferFunction {
-        points: values.into_iter().map(point).collect(),
+        points: corners.into_iter().map(point).collect(),
         opacity_distance: Some(opacity_distance),
         gradient_opacity: vec![],
     }
@@ -121,6 +137,9 @@ mod tests {
                     prop_assert!(union.opacity(value) >= of.opacity(value) - 1e-12, "{value}: {union:?}");
                 }
             }
+            // No more points than are needed.
+            prop_assert!(union.points.len() <= 4 * (a.points.len() + b.points.len()));
+            prop_assert!(union.points.windows(2).all(|pair| pair[0] != pair[1]));
             for (low, high) in [(value, value + 3.0), (value, value)] {
                 let clear = |of: &TransferFunction| of.is_transparent((low, high), (0.0, 1.0));
                 prop_assert!(!clear(&union) || clear(&a) && clear(&b));

@@ -113,11 +113,9 @@ impl<'a, T: Code> Medium<'a, T> {
             };
             (DVec3::new(r, g, b) / 255.0 * weight).extend(weight)
         });
-        let tau = match self.sampling {
-            _ if self.labels.is_some() => sum.w,
-            Sampling::Extinction => sum.w,
-            Sampling::Opacity => extinction(sum.w, self.reference_length),
-        };
+        // Of labels it is extinction in any case.
+        let is_opacity = self.sampling == Sampling::Opacity && self.labels.is_none();
+        let tau = if is_opacity { extinction(sum.w, self.reference_length) } else { sum.w };
         (if sum.w > 0.0 { sum.truncate() / sum.w } else { DVec3::ZERO }, tau)
     }
 

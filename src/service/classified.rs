@@ -26,12 +26,15 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::cache_folder::CacheFolder;
 use super::metrics;
 use super::render_pool::{PoolError, RenderPool, Ticket};
-use super::request::Look;
+use super::request::{Look, ResolvedLabels};
 use super::store::LoadedVolume;
+use crate::classify::labels::LabelTables;
 use crate::classify::{Classification, Encodings, Purpose, TransferFunction};
+use crate::render::Cancel;
 
-/// Share of the cache that is for classifications: tables, which are small beside encodings.
+/// Shares of the cache that are for classifications and labels' tables, which are small beside encodings.
 const CLASSIFICATIONS_SHARE: u64 = 4;
+const LABELS_SHARE: u64 = 8;
 
 /// What a classified volume is made from, besides the volume.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,6 +80,7 @@ struct Asked {
 #[derive(Clone, Debug)]
 pub struct ClassifiedCache {
     classifications: Cache<Arc<str>, Arc<Asked>>,
+    labels: Cache<Arc<str>, Arc<LabelTables>>,
     encodings: Cache<Arc<str>, Arc<Encodings>>,
     /// Bytes of all encodings at most.
     room: u64,
@@ -93,6 +97,7 @@ pub struct CacheSize {
     /// Encodings.
     pub encodings: u64,
     pub encoding_bytes: u64,
+    /// Of labels' tables too.
     pub classification_bytes: u64,
     /// Encodings in the making: 0 or 1, and what they may come to.
     pub building: usize,
@@ -104,10 +109,16 @@ impl ClassifiedCache {
     /// `folder` too.
     pub fn new(bytes: u64, folder: Option<CacheFolder>) -> Self {
         let for_classifications = bytes / CLASSIFICATIONS_SHARE;
-        let room = bytes - for_classifications;
+        let for_labels = bytes / LABELS_SHARE;
+        let room = bytes - for_classifications - for_labels;
         let classifications = Cache::builder()
             .weigher(|key: &Arc<str>, asked: &Arc<Asked>| kib(key.len() as u64 + asked.classification.bytes()))
             .max_capacity(for_classifications / 1024)
+            .eviction_policy(EvictionPolicy::lru())
+            .build();
+        let labels = Cache::builder()
+            .weigher(|key: &Arc<str>, tables: &Arc<LabelTables>| kib(key.len() as u64 + tables.bytes()))
+            .max_capacity(for_labels / 1024)
             .eviction_policy(EvictionPolicy::lru())
             .build();
         let encodings = Cache::builder()
@@ -116,17 +127,18 @@ impl ClassifiedCache {
             .eviction_policy(EvictionPolicy::lru())
             .build();
         let turn = Arc::new(Semaphore::new(1));
-        Self { classifications, encodings, room, turn, building_bytes: Arc::default(), folder }
+        Self { classifications, labels, encodings, room, turn, building_bytes: Arc::default(), folder }
     }
 
     /// What is in memory, and in the making.
     pub async fn size(&self) -> CacheSize {
         self.encodings.run_pending_tasks().await;
         self.classifications.run_pending_tasks().await;
+        self.labels.run_pending_tasks().await;
         CacheSize {
             encodings: self.encodings.entry_count(),
             encoding_bytes: self.encodings.weighted_size() * 1024,
-            classification_bytes: self.classifications.weighted_size() * 1024,
+            classification_bytes: (self.classifications.weighted_size() + self.labels.weighted_size()) * 1024,
             building: 1 - self.turn.available_permits().min(1),
             building_bytes: self.building_bytes.load(Ordering::Relaxed),
         }
@@ -212,6 +224,24 @@ impl ClassifiedCache {
             cache.try_get_with(key, async move { ticket.run(move |_| job()).await.map(|(built, _)| built) }).await
         });
         build.await.map_err(|_| PoolError::Panicked)?.map_err(|shared| PoolError::clone(&shared))
+    }
+
+    /// The tables of `volume`'s voxels by the labels that another one holds, from memory or made by a job of `ticket`.
+    ///
+    /// # Errors
+    /// Where making them panicked.
+    pub async fn labels(
+        &self,
+        ticket: &Ticket,
+        volume: &Arc<LoadedVolume>,
+        labels: &Arc<LoadedVolume>,
+        told: &ResolvedLabels,
+    ) -> Result<Arc<LabelTables>, PoolError> {
+        let key = format!("{:032x} {:032x} {told:?}", volume.fingerprint, labels.fingerprint).into();
+        let (volume, labels, told) = (Arc::clone(volume), Arc::clone(labels), told.clone());
+        let job = move |_: &Cancel| Arc::new(told.tables(volume.volume(), labels.volume()));
+        let made = self.labels.try_get_with(key, async move { ticket.run(job).await.map(|(tables, _)| tables) }).await;
+        made.map_err(|shared| PoolError::clone(&shared))
     }
 
     /// The turn to build encodings of so many bytes; `None` where another build has it, or where they

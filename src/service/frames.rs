@@ -236,13 +236,19 @@ impl Asked {
                 }
             });
         }
+        let labels = match self.labels.as_ref().zip(self.frame.labels.as_ref()) {
+            None => None,
+            Some((labels, told)) => {
+                let tables = app.store.classified.labels(ticket, &self.volume, labels, told).await?;
+                Some((Arc::clone(labels), tables))
+            }
+        };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
-        let (picture, labels) = (self.picture.clone(), self.labels.clone());
+        let picture = self.picture.clone();
         let job = move |cancel: &render::Cancel| {
             let prepared = volume.level(frame.level());
-            let labels = labels.as_ref().map(|labels| labels.volume());
-            let tables = frame.labels.as_ref().zip(labels).map(|(told, labels)| told.tables(volume.volume(), labels));
+            let labels = labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.volume().scalars(), tables });
             let scenes: Vec<_> = frame
                 .looks()
                 .zip(&classified)
@@ -251,9 +257,7 @@ impl Asked {
                     transfer: &look.transfer,
                     classification: classified.as_ref().map(|c| &*c.classification),
                     encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
-                    labels: labels
-                        .zip(tables.as_ref())
-                        .map(|(labels, tables)| Labels { voxels: labels.scalars(), tables }),
+                    labels,
                 })
                 .collect();
             let (image, stages) = frame.render(&frame.view, &scenes, cancel)?;

@@ -18,6 +18,10 @@ async fn running() -> Running {
         let file = [format!("{header}spacings: {spacings}\n\n").into_bytes(), halves.clone()].concat();
         std::fs::write(folder.path().join(format!("{name}.nrrd")), file).unwrap();
     }
+    // What no segmentation is: fractions.
+    let header = header.replace("ushort", "float") + "spacings: 1 1 1\n\n";
+    let values = (0..SIDE.pow(3)).flat_map(|n| (n as f32 / 7.0).to_le_bytes()).collect();
+    std::fs::write(folder.path().join("measured.nrrd"), [header.into_bytes(), values].concat()).unwrap();
     let small = b"NRRD0004\ntype: uchar\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n\n12345678";
     std::fs::write(folder.path().join("small.nrrd"), small).unwrap();
     Running::start_in(folder, "").await
@@ -88,7 +92,12 @@ async fn labels_that_do_not_fit_are_refused() {
             r#""labels": {"volume": "halves", "looks": [{"label": 1, "transfer_function": "none"}]}"#,
             "/labels/looks/0/transfer_function",
         ),
-        (r#""labels": {"volume": "halves"}, "transfer_function": "ct-vessels""#, "/labels"),
+        (r#""labels": {"volume": "halves"}, "transfer_function": "ct-vessels""#, "/transfer_function"),
+        (
+            r#""labels": {"volume": "halves", "looks": [{"label": 1, "transfer_function": "ct-vessels"}]}"#,
+            "/labels/looks/0/transfer_function",
+        ),
+        (r#""labels": {"volume": "measured"}"#, "/labels/volume"),
         (r#""labels": {"volume": "halves"}, "algorithm": "preintegrated""#, "/algorithm"),
         (r#""labels": {"volume": "halves"}, "blend": "maximum""#, "/labels"),
         (r#""labels": {"volume": "halves"}, "level": 1"#, "/level"),

@@ -1,0 +1,91 @@
+//! How a segmentation makes voxels look.
+
+use super::{Look, fitted};
+use crate::classify::TransferFunction;
+use crate::classify::labels::{LabelLook, LabelTables, union};
+use crate::classify::presets::FittedPresets;
+use crate::render::Algorithm;
+use crate::service::request::{LabelRequest, LabelsRequest, RenderRequest, RequestError};
+use crate::volume::Volume;
+
+/// How voxels look by their labels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResolvedLabels {
+    /// The id of the volume of labels.
+    pub volume: String,
+    looks: Vec<LabelLook>,
+    /// Of voxels with other labels.
+    others: TransferFunction,
+    min_opacity: f64,
+}
+
+impl ResolvedLabels {
+    /// Refuses a volume of labels that is not on the volume's grid.
+    ///
+    /// # Errors
+    /// [`RequestError::Refused`], for the field that names it.
+    pub fn suit(&self, volume: &Volume, labels: &Volume) -> Result<(), RequestError> {
+        let refused = |detail: String| Err(RequestError::refused("/labels/volume", detail));
+        let (wanted, got) = (volume.dims(), labels.dims());
+        if wanted != got {
+            return refused(format!("expected labels on the volume's grid of {wanted:?} voxels, got {got:?}"));
+        }
+        if labels.colors().is_some() {
+            return refused("expected labels, got colours".into());
+        }
+        let (slope, intercept) = labels.rescale();
+        if labels.report().quantized || slope.fract() != 0.0 || intercept.fract() != 0.0 {
+            return refused("expected labels, which are whole numbers up to 65535, got other values".into());
+        }
+        let [a, b] = [volume, labels].map(Volume::world_from_index);
+        let apart = (a - b).to_cols_array().iter().fold(0.0, |most: f64, element| most.max(element.abs()));
+        let extent = 1e-3 * volume.smallest_spacing();
+        if apart > extent {
+            return refused("expected labels on the volume's grid, got another place, spacing or orientation".into());
+        }
+        Ok(())
+    }
+
+    /// The tables of both volumes.
+    pub fn tables(&self, volume: &Volume, labels: &Volume) -> LabelTables {
+        LabelTables::new(volume, labels, &self.looks, &self.others, self.min_opacity)
+    }
+}
+
+impl RenderRequest {
+    /// The looks of labels; that of the volume becomes one for all.
+    pub(super) fn by_label(
+        &self,
+        labels: &LabelsRequest,
+        look: &mut Look,
+        volume: &Volume,
+        presets: &FittedPresets,
+    ) -> Result<ResolvedLabels, RequestError> {
+        let of_label = |(index, told): (usize, &LabelRequest)| {
+            let mut transfer = match &told.transfer {
+                None => look.transfer.clone(),
+                Some(transfer) => fitted(transfer, presets, &format!("/labels/looks/{index}/transfer_function"))?.0,
+            };
+            transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
+            for point in &mut transfer.points {
+                point.opacity *= told.opacity;
+                point.color = told.color.unwrap_or(point.color);
+            }
+            Ok(LabelLook { label: told.label, transfer })
+        };
+        let looks = labels.looks.iter().enumerate().map(of_label).collect::<Result<Vec<_>, RequestError>>()?;
+        let others = look.transfer.clone();
+        let detail = "expected one without gradient_opacity, as labels need";
+        if !others.gradient_opacity.is_empty() {
+            return Err(RequestError::refused("/transfer_function", detail));
+        }
+        if let Some(index) = looks.iter().position(|look| !look.transfer.gradient_opacity.is_empty()) {
+            return Err(RequestError::refused(&format!("/labels/looks/{index}/transfer_function"), detail));
+        }
+        // What is skipped is transparent for every label.
+        look.transfer = union(looks.iter().map(|look| &look.transfer).chain([&others]), volume.smallest_spacing());
+        let min_opacity = if look.settings.algorithm == Algorithm::Raycast { 0.0 } else { look.min_opacity };
+        look.min_opacity = 0.0;
+        Ok(ResolvedLabels { volume: labels.volume.clone(), looks, others, min_opacity })
+    }
+}
