@@ -11,6 +11,7 @@
 //! ([`Factorization::cut`]). Rays in image order ask the buffer itself.
 
 use std::fmt;
+use std::ops::Range;
 
 use glam::{DMat3, DMat4, DVec2, DVec3};
 use rayon::prelude::*;
@@ -114,14 +115,16 @@ impl SceneDepth {
 /// Pixels of a word of masks.
 const WORD: usize = 64;
 
-/// What is seen of the rays of an intermediate image: from where to where, in slices from the front one on.
+/// What is seen of the rays of an intermediate image, in slices from the front one on: from where to where, but for holes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limits {
     width: usize,
     /// By pixel; `from` is infinite where nothing is seen.
     stretches: Vec<Stretch>,
-    /// By scanline and 64 pixels: the least and the greatest of each.
-    bounds: Vec<[Stretch; 2]>,
+    /// By scanline, in the order of pixels and, within one, of its ray.
+    holes: Vec<Vec<Hole>>,
+    /// By scanline and 64 pixels.
+    words: Vec<Word>,
 }
 
 /// From where to where.
@@ -131,51 +134,117 @@ pub struct Stretch {
     pub to: f32,
 }
 
+/// A part of a pixel's stretch of which nothing is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Hole {
+    pub u: u32,
+    pub stretch: Stretch,
+}
+
+/// What is the same for 64 pixels.
+#[derive(Clone, Debug, PartialEq)]
+struct Word {
+    /// The least and the greatest of each end of their stretches.
+    bounds: [Stretch; 2],
+    /// Which of the scanline's holes are theirs, and the stretch that these are within.
+    holes: Range<usize>,
+    within: Stretch,
+}
+
 impl Stretch {
     const ALL: Self = Self { from: f32::NEG_INFINITY, to: f32::INFINITY };
     pub(super) const NOTHING: Self = Self { from: f32::INFINITY, to: f32::NEG_INFINITY };
+
+    /// Whether some of it lies between two positions.
+    #[inline(always)]
+    pub(super) fn meets(&self, [first, last]: [f32; 2]) -> bool {
+        self.from < last && self.to > first
+    }
+
+    /// Whether all that lies between two positions is of it.
+    #[inline(always)]
+    pub(super) fn holds(&self, [first, last]: [f32; 2]) -> bool {
+        self.from <= first && self.to >= last
+    }
 }
 
 impl Limits {
-    /// What scanlines see, told by a function that fills one: v, and pixels that are [`Stretch::NOTHING`].
-    pub(super) fn new([width, height]: [usize; 2], scanline: impl Fn(usize, &mut [Stretch]) + Sync) -> Self {
+    /// What scanlines see, told by a function that fills one: v, pixels that are [`Stretch::NOTHING`], and the holes in what they
+    /// become, in order.
+    pub(super) fn new(
+        [width, height]: [usize; 2],
+        scanline: impl Fn(usize, &mut [Stretch], &mut Vec<Hole>) + Sync,
+    ) -> Self {
         let mut stretches = vec![Stretch::NOTHING; width * height];
-        let bounds = stretches.par_chunks_mut(width).enumerate().flat_map_iter(|(v, row)| {
-            scanline(v, row);
-            row.chunks(WORD).map(bounds).collect::<Vec<_>>()
+        let filled = stretches.par_chunks_mut(width).enumerate().map(|(v, row)| {
+            let mut holes = vec![];
+            scanline(v, row, &mut holes);
+            let of_word = |u: u32| holes.partition_point(|hole| hole.u < u);
+            let word = |(n, row): (usize, &[Stretch])| {
+                let theirs = of_word((n * WORD) as u32)..of_word(((n + 1) * WORD) as u32);
+                let within = holes[theirs.clone()].iter().fold(Stretch::NOTHING, |all, Hole { stretch, .. }| Stretch {
+                    from: all.from.min(stretch.from),
+                    to: all.to.max(stretch.to),
+                });
+                Word { bounds: bounds(row), holes: theirs, within }
+            };
+            let words: Vec<_> = row.chunks(WORD).enumerate().map(word).collect();
+            (holes, words)
         });
-        let bounds = bounds.collect();
-        Self { width, stretches, bounds }
+        let (holes, words): (Vec<_>, Vec<_>) = filled.unzip();
+        Self { width, stretches, holes, words: words.into_iter().flatten().collect() }
     }
 
     /// True where nothing is seen at all.
     pub(super) fn is_empty(&self) -> bool {
-        self.bounds.iter().all(|[least, greatest]| least.from == f32::INFINITY && greatest.to == f32::NEG_INFINITY)
+        self.words.iter().all(|Word { bounds: [least, greatest], .. }| {
+            least.from == f32::INFINITY && greatest.to == f32::NEG_INFINITY
+        })
     }
 
-    /// What is seen of the ray of pixel (u, v).
+    /// What is seen of the ray of pixel (u, v), but for holes.
     #[inline(always)]
     pub fn at(&self, u: usize, v: usize) -> Stretch {
         self.stretches[v * self.width + u]
     }
 
+    /// The holes in that, one behind another.
+    #[inline(always)]
+    pub fn holes(&self, u: usize, v: usize) -> impl Iterator<Item = Stretch> + '_ {
+        let word = &self.words[v * self.width.div_ceil(WORD) + u / WORD];
+        let theirs = self.holes[v][word.holes.clone()].iter().filter(move |hole| hole.u as usize == u);
+        theirs.map(|hole| hole.stretch)
+    }
+
     /// Of the 64 pixels of `word` of scanline `v`, those of which something is seen between two positions, and those of which
     /// all is.
     #[inline(always)]
-    pub fn seen(&self, v: usize, word: usize, [first, last]: [f32; 2]) -> [u64; 2] {
-        let [least, greatest] = self.bounds[v * self.width.div_ceil(WORD) + word];
-        let some = least.from < last && greatest.to > first;
-        let whole = greatest.from <= first && least.to >= last;
-        if !some || whole {
-            return if some { [u64::MAX; 2] } else { [0; 2] };
+    pub fn seen(&self, v: usize, word: usize, between: [f32; 2]) -> [u64; 2] {
+        let Word { bounds: [least, greatest], holes, within } = &self.words[v * self.width.div_ceil(WORD) + word];
+        if !(Stretch { from: least.from, to: greatest.to }).meets(between) {
+            return [0; 2];
         }
-        let row = &self.stretches[v * self.width..][..self.width];
-        let (mut some, mut whole) = (0, 0);
-        for (at, stretch) in row[word * WORD..].iter().take(WORD).enumerate() {
-            some |= u64::from(stretch.from < last && stretch.to > first) << at;
-            whole |= u64::from(stretch.from <= first && stretch.to >= last) << at;
+        let mut seen = [u64::MAX; 2];
+        if !(Stretch { from: greatest.from, to: least.to }).holds(between) {
+            seen = [0; 2];
+            let row = &self.stretches[v * self.width..][..self.width];
+            for (at, stretch) in row[word * WORD..].iter().take(WORD).enumerate() {
+                seen[0] |= u64::from(stretch.meets(between)) << at;
+                seen[1] |= u64::from(stretch.holds(between)) << at;
+            }
         }
-        [some, whole]
+        if within.meets(between) {
+            for Hole { u, stretch } in &self.holes[v][holes.clone()] {
+                let pixel = 1 << (*u as usize % WORD);
+                if stretch.holds(between) {
+                    seen[0] &= !pixel;
+                }
+                if stretch.meets(between) {
+                    seen[1] &= !pixel;
+                }
+            }
+        }
+        seen
     }
 }
 
@@ -221,7 +290,7 @@ impl<'a> InverseWarp<'a> {
 
     /// What is seen in front of it.
     pub fn limits(&self) -> Limits {
-        Limits::new(self.factorization.size, |v, row| {
+        Limits::new(self.factorization.size, |v, row, _| {
             for (u, stretch) in row.iter_mut().enumerate() {
                 *stretch = Stretch { to: self.end(u, v) as f32, ..Stretch::ALL };
             }

@@ -28,8 +28,8 @@ use std::ops::Range;
 use glam::{DAffine2, DAffine3, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
-use super::depth::Limits;
-use super::view::{Clip, Rays, View};
+use super::depth::{Limits, Stretch};
+use super::view::{Ball, Clip, HalfSpace, Rays, View, cut};
 use crate::volume::Volume;
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
@@ -78,6 +78,8 @@ pub struct Factorization {
     pub extent: [DVec2; 2],
     /// What the view clips to, in voxel coordinates.
     clip: Clip,
+    /// Half-spaces that hold all of that.
+    clip_bounds: Vec<HalfSpace>,
     /// What is seen of the rays of pixels.
     limits: Option<Limits>,
 }
@@ -167,9 +169,11 @@ impl Factorization {
             ray: DMat3::from_cols(DVec3::ZERO, DVec3::ZERO, direction / d.z.abs()),
             sheared_from_image: DAffine2::from_cols(vector(dx), vector(dy), start + translation).into(),
             extent: [DVec2::ZERO, first.max(last) + face],
-            clip: clip(principal_axis, view, &world_from_index),
+            clip: Clip::default(),
+            clip_bounds: vec![],
             limits: None,
         }
+        .clipped(view, &world_from_index)
     }
 
     /// Slices from the front one to the last.
@@ -257,6 +261,16 @@ impl Factorization {
         if self.reversed { [high, low] } else { [low, high] }
     }
 
+    /// With what the view clips to.
+    fn clipped(mut self, view: &View, world_from_index: &DMat4) -> Self {
+        let [i, j, k] = PERMUTATIONS[self.principal_axis].map(|axis| world_from_index.col(axis).truncate());
+        let translation = world_from_index.col(3).truncate();
+        self.clip = view.clip().told_by(DAffine3 { matrix3: DMat3::from_cols(i, j, k), translation });
+        let balls = self.clip.balls.iter().flat_map(Ball::bounds);
+        self.clip_bounds = self.clip.halves.iter().copied().chain(balls).collect();
+        self
+    }
+
     /// With what is seen of the rays of pixels.
     pub(super) fn limited(mut self, limits: Option<Limits>) -> Self {
         self.limits = limits;
@@ -286,10 +300,14 @@ impl Factorization {
     /// The pixels u of scanline `v` that clip planes leave of a slice, which may be between
     /// two slices of voxels.
     fn visible_pixels(&self, v: usize, k: f64) -> Range<usize> {
+        let (start, step) = self.scanline(v, k);
+        pixels(self.clip.span(start, step, [0.0, (self.size[0] - 1) as f64]))
+    }
+
+    /// Voxel coordinates of the first pixel of scanline `v` of a slice, and from a pixel to the next.
+    fn scanline(&self, v: usize, k: f64) -> (DVec3, DVec3) {
         let Lattice { offset, scale } = self.lattice(k);
-        let start = DVec3::new(offset.x, offset.y + scale * v as f64, k);
-        let [low, high] = self.clip.span(start, DVec3::X * scale, [0.0, (self.size[0] - 1) as f64]);
-        if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
+        (DVec3::new(offset.x, offset.y + scale * v as f64, k), DVec3::X * scale)
     }
 
     /// Pixels u of scanline `v` of which clip planes may leave something between two slices (in the order of the walk), and
@@ -300,12 +318,22 @@ impl Factorization {
         }
         let [a, b] = slices.map(|k| self.visible_pixels(v, k));
         let whole = a.start.max(b.start)..a.end.min(b.end);
-        let some = match (a.is_empty(), b.is_empty()) {
-            (false, false) => a.start.min(b.start)..a.end.max(b.end),
-            (true, _) => b,
-            (_, true) => a,
-        };
-        [some, whole]
+        // What lies between the slices may reach further than on either, or lie between them altogether. A ray that passes a
+        // half-space there passes it on one of the two.
+        let [first, last] = slices.map(|k| self.scanline(v, k));
+        let all = [0.0, (self.size[0] - 1) as f64];
+        let some = self.clip_bounds.iter().fold(all, |some, half| {
+            let on =
+                |(start, step): (DVec3, DVec3)| cut(all, half.normal.dot(start) + half.offset, half.normal.dot(step));
+            let [a, b] = [on(first), on(last)];
+            let either = match (a[0] > a[1], b[0] > b[1]) {
+                (false, false) => [a[0].min(b[0]), a[1].max(b[1])],
+                (true, _) => b,
+                (_, true) => a,
+            };
+            [some[0].max(either[0]), some[1].min(either[1])]
+        });
+        [pixels(some), whole]
     }
 
     /// What is seen of the rays of pixels, where that is not all that clip planes leave.
@@ -313,18 +341,26 @@ impl Factorization {
         self.limits.as_ref()
     }
 
-    /// Where the ray of pixel (u, v) enters and leaves what clip planes and limits leave between two slices, as fractions
-    /// of the way from the first to the second; the first not below the second where that is nothing.
-    pub fn cut(&self, u: usize, v: usize, slices: [f64; 2]) -> [f32; 2] {
+    /// What clip planes and limits leave of the ray of pixel (u, v) between two slices, as fractions of the way from the first to
+    /// the second: pieces with their ends, one behind another.
+    pub fn left(&self, u: usize, v: usize, slices: [f64; 2]) -> impl Iterator<Item = [f32; 2]> {
         let [from, to] = slices.map(|k| self.voxel_from_sheared(u as f64, v as f64, k));
         let [mut enter, mut leave] = self.clip.span(from, to - from, [0.0, 1.0]);
+        let [first, last] = slices.map(|k| self.position(k));
+        let part = move |Stretch { from, to }| [from, to].map(|at| (f64::from(at) - first) / (last - first));
         if let Some(limits) = &self.limits {
-            let stretch = limits.at(u, v);
-            let [first, last] = slices.map(|k| self.position(k));
-            enter = enter.max((f64::from(stretch.from) - first) / (last - first));
-            leave = leave.min((f64::from(stretch.to) - first) / (last - first));
+            let [first, last] = part(limits.at(u, v));
+            (enter, leave) = (enter.max(first), leave.min(last));
         }
-        [enter as f32, leave as f32]
+        // Between holes; the last piece ends with the ray.
+        let holes = self.limits.iter().flat_map(move |limits| limits.holes(u, v)).map(part);
+        let mut begin = enter;
+        let pieces = holes.chain([[leave, leave]]).map(move |[from, to]| {
+            let piece = [begin, from.min(leave)];
+            begin = begin.max(to);
+            piece.map(|at| at as f32)
+        });
+        pieces.filter(|[enter, leave]| enter < leave)
     }
 
     /// The eye in voxel coordinates i, j, k; `None` where rays are parallel.
@@ -366,11 +402,9 @@ fn permuted(principal_axis: usize, v: DVec3) -> DVec3 {
     DVec3::from_array(PERMUTATIONS[principal_axis].map(|axis| v[axis]))
 }
 
-/// What the view clips to, in permuted voxel coordinates.
-fn clip(principal_axis: usize, view: &View, world_from_index: &DMat4) -> Clip {
-    let [i, j, k] = PERMUTATIONS[principal_axis].map(|axis| world_from_index.col(axis).truncate());
-    view.clip()
-        .told_by(DAffine3 { matrix3: DMat3::from_cols(i, j, k), translation: world_from_index.col(3).truncate() })
+/// The pixels of a stretch of a scanline; none where it ends before it begins.
+fn pixels([low, high]: [f64; 2]) -> Range<usize> {
+    if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
 }
 
 /// The axis most parallel to the rays, in index space, so that no slice shears by more than a voxel.

@@ -164,7 +164,7 @@ impl IntermediateImage {
         let fronts = self.pixels[..width * height].par_chunks_mut(width).zip(&mut self.drawn);
         fronts.zip(backs).for_each(|((front, drawn), (back, behind))| {
             for (front, back) in front[behind.clone()].iter_mut().zip(&back[behind.clone()]) {
-                put_over(front, *back);
+                put_pixel_behind(front, *back);
             }
             if drawn.start == drawn.end {
                 *drawn = behind.clone();
@@ -174,13 +174,13 @@ impl IntermediateImage {
         });
     }
 
-    /// Puts a premultiplied pixel behind all of it.
-    pub fn put_over(&mut self, behind: Vec4) {
+    /// Puts a premultiplied pixel behind every one of the image's.
+    pub fn put_ground_behind(&mut self, behind: Vec4) {
         let ([width, height], ground) = (self.size, fixed(&[behind])[0]);
         self.behind = behind;
         self.pixels[..width * height]
             .par_chunks_mut(width)
-            .for_each(|row| row.iter_mut().for_each(|pixel| put_over(pixel, ground)));
+            .for_each(|row| row.iter_mut().for_each(|pixel| put_pixel_behind(pixel, ground)));
     }
 
     /// Bytes in memory.
@@ -269,13 +269,13 @@ impl Strip<'_> {
     }
 }
 
-/// A pixel over another.
+/// Puts a pixel behind another. Depth cueing can make a colour brighter than its opacity; neither is above 1.
 #[inline(always)]
-fn put_over(front: &mut Fixed, back: Fixed) {
+fn put_pixel_behind(front: &mut Fixed, back: Fixed) {
     const WHOLE: i32 = ONE as i32;
     let through = WHOLE - i32::from(front[3]);
     for (front, back) in front.iter_mut().zip(back) {
-        *front += ((i32::from(back) * through + WHOLE / 2) / WHOLE) as i16;
+        *front = (i32::from(*front) + (i32::from(back) * through + WHOLE / 2) / WHOLE).min(WHOLE) as i16;
     }
 }
 

@@ -2,9 +2,10 @@
 //!
 //! Bruckner, Schmalstieg, Hauser and Gröller 2003 keep the depths of a convex shape's front and back faces for each pixel and
 //! choose, sample by sample, what the kernel does inside and outside. Here a ray is cut where it enters and leaves the shapes,
-//! and each of its pieces belongs to the last region that holds it, or to the volume around. Pieces that are shown alike make
-//! a layer: a pass of its own, from which all else is left out, by the kernel that there is. So no kernel knows of regions, and
-//! what is skipped is skipped exactly.
+//! and each of its pieces belongs to the last region that holds it, or to the volume around. A piece of each ray that looks the
+//! same, and has as many others before it, make a layer: a pass of its own, from which all else is left out, by the kernel that
+//! there is. So no kernel knows of regions, and what is skipped is skipped exactly. Where nothing is shown in a region, pieces before
+//! and behind it are one, with a hole: cutting something out takes no pass more.
 //!
 //! Layers are blended ray by ray: in the intermediate image, or in the picture where its pixels have rays of their own. Blended
 //! after the warp, the rims of two layers that are seen side by side would each cover a pixel in part, one over the other, and let
@@ -17,7 +18,7 @@ use std::time::Instant;
 use glam::{DAffine3, DVec2, DVec3, Vec4};
 use rayon::prelude::*;
 
-use super::depth::{InverseWarp, Limits, Stretch};
+use super::depth::{Hole, InverseWarp, Limits, Stretch};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::view::{Clip, cut};
@@ -36,13 +37,32 @@ pub struct Region<'a> {
     pub shown: Option<(Scene<'a>, &'a Settings)>,
 }
 
+/// A region's shape, and whether anything is shown in it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Shape {
+    clip: Clip,
+    is_shown: bool,
+}
+
+impl Shape {
+    /// The shapes of regions.
+    pub fn of(regions: &[Region<'_>]) -> Vec<Self> {
+        regions.iter().map(|region| Self { clip: region.shape.clone(), is_shown: region.shown.is_some() }).collect()
+    }
+
+    /// The same where points are told by other coordinates.
+    fn told_by(&self, space_from_other: DAffine3) -> Self {
+        Self { clip: self.clip.told_by(space_from_other), ..*self }
+    }
+}
+
 /// Which pieces of rays make a layer; in the order in which layers are blended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Which {
-    /// Pieces before it, along a ray.
+    /// Pieces of other looks before it, along a ray.
     before: u8,
     /// The region that they lie in; `None`: in none.
-    within: Option<u8>,
+    pub within: Option<u8>,
 }
 
 /// What is shown in the pieces of a layer.
@@ -50,20 +70,21 @@ pub(super) fn shown<'a>(
     which: Which,
     around: (&'a Scene<'a>, &'a Settings),
     regions: &'a [Region<'_>],
-) -> Option<(&'a Scene<'a>, &'a Settings)> {
-    match which.within {
-        None => Some(around),
-        Some(region) => regions[usize::from(region)].shown.as_ref().map(|(scene, settings)| (scene, *settings)),
-    }
+) -> (&'a Scene<'a>, &'a Settings) {
+    which.within.map_or(around, |region| {
+        let (scene, settings) = regions[usize::from(region)].shown.as_ref().expect("layers are of what is shown");
+        (scene, settings)
+    })
 }
 
-/// Cuts a span of `start + t step` where regions begin and end. The pieces follow each other without a gap.
+/// Cuts a span of `start + t step` where regions begin and end: the pieces that are shown, front to back, and the regions that
+/// they lie in.
 fn pieces(
-    shapes: &[Clip],
+    shapes: &[Shape],
     start: DVec3,
     step: DVec3,
     [enter, leave]: [f64; 2],
-    mut found: impl FnMut(Which, [f64; 2]),
+    mut found: impl FnMut(Option<u8>, [f64; 2]),
 ) {
     const NOTHING: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
     if enter >= leave {
@@ -73,7 +94,7 @@ fn pieces(
     let mut ends = [leave; 2 * MAX_REGIONS + 1];
     let mut count = 0;
     for (inside, shape) in inside.iter_mut().zip(shapes) {
-        let span = shape.span(start, step, [enter, leave]);
+        let span = shape.clip.span(start, step, [enter, leave]);
         if span[0] < span[1] {
             *inside = span;
             ends[count..count + 2].copy_from_slice(&span);
@@ -82,25 +103,26 @@ fn pieces(
     }
     ends[..count].sort_unstable_by(f64::total_cmp);
     // Pieces end where the region that holds them does, not where another's shape is passed within it.
-    let mut piece: Option<(Which, [f64; 2])> = None;
+    let mut piece: Option<(Option<u8>, [f64; 2])> = None;
     let mut at = enter;
     for &end in ends[..=count].iter().filter(|end| **end > enter) {
         if end <= at {
             continue;
         }
         let within = inside.iter().rposition(|span| span[0] <= at && end <= span[1]).map(|region| region as u8);
-        piece = Some(match piece {
-            Some((which, [from, _])) if which.within == within => (which, [from, end]),
-            Some((which, span)) => {
-                found(which, span);
-                (Which { before: which.before + 1, within }, [at, end])
+        match &mut piece {
+            Some((same, span)) if *same == within && span[1] == at => span[1] = end,
+            _ if within.is_none_or(|region| shapes[usize::from(region)].is_shown) => {
+                if let Some((within, span)) = piece.replace((within, [at, end])) {
+                    found(within, span);
+                }
             }
-            None => (Which { before: 0, within }, [at, end]),
-        });
+            _ => {}
+        }
         at = end;
     }
-    if let Some((which, span)) = piece {
-        found(which, span);
+    if let Some((within, span)) = piece {
+        found(within, span);
     }
 }
 
@@ -108,7 +130,7 @@ fn pieces(
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     /// In the order of the regions; of two that hold a point the later one is meant.
-    shapes: Arc<[Clip]>,
+    shapes: Arc<[Shape]>,
     which: Which,
 }
 
@@ -121,42 +143,68 @@ impl Layer {
     /// What of a span of `start + t step`, within the volume, belongs to the layer; it ends before it begins where that is
     /// nothing.
     pub fn span(&self, start: DVec3, step: DVec3, span: [f64; 2]) -> [f64; 2] {
-        let mut found = [f64::INFINITY, f64::NEG_INFINITY];
-        pieces(&self.shapes, start, step, span, |which, span| {
+        let mut of_layer = [f64::INFINITY, f64::NEG_INFINITY];
+        each_layer(&self.shapes, start, step, span, |which, span| {
             if which == self.which {
-                found = span;
+                of_layer = span;
             }
         });
-        found
+        of_layer
     }
+}
+
+/// The pieces of a ray without holes, and the layers that they are of.
+fn each_layer(shapes: &[Shape], start: DVec3, step: DVec3, span: [f64; 2], mut found: impl FnMut(Which, [f64; 2])) {
+    let mut before = 0;
+    pieces(shapes, start, step, span, |within, span| {
+        found(Which { before, within }, span);
+        before += 1;
+    });
 }
 
 /// The pieces of the rays of an intermediate image.
 pub(super) struct Layers {
     size: [usize; 2],
-    /// By scanline: the pixel, and what is seen there.
-    pieces: Vec<Vec<(u32, Which, Stretch)>>,
+    scanlines: Vec<Scanline>,
+}
+
+/// Pixel by pixel, front to back.
+#[derive(Default)]
+struct Scanline {
+    /// The pixel, and what is seen there but for holes.
+    pieces: Vec<(u32, Which, Stretch)>,
+    holes: Vec<(Which, Hole)>,
 }
 
 impl Layers {
     /// Rays end where `depth` says.
+    ///
+    /// # Errors
+    /// [`RenderError::Cancelled`].
     pub fn new(
         volume: &Volume,
         factorization: &Factorization,
         depth: Option<&InverseWarp<'_>>,
-        shapes: &[Clip],
-    ) -> Self {
+        shapes: &[Shape],
+        cancel: &Cancel,
+    ) -> Result<Self, RenderError> {
         let world_from_voxel = factorization.world_from_voxel(volume);
         let shapes: Vec<_> = shapes.iter().map(|shape| shape.told_by(world_from_voxel)).collect();
         let [width, height] = factorization.size;
         let last = factorization.layers() as f64 + 1.0;
         let scanline = |v: usize| {
-            let mut found = Vec::with_capacity(width);
+            if cancel.is_cancelled() {
+                return Err(RenderError::Cancelled);
+            }
+            let mut found = Scanline { pieces: Vec::with_capacity(width), holes: vec![] };
+            // Slices behind the front one: an eye among the slices may have passed that.
+            let [[first, first_step], [second, second_step]] = [1.0, 2.0].map(|position| {
+                let k = factorization.along(position);
+                let [at, next] = [0.0, 1.0].map(|u| factorization.voxel_from_sheared(u, v as f64, k));
+                [at, next - at]
+            });
             for u in 0..width {
-                // Slices behind the front one: an eye among the slices may have passed that.
-                let [first, second] = [1.0, 2.0].map(|position| {
-                    factorization.voxel_from_sheared(u as f64, v as f64, factorization.along(position))
-                });
+                let [first, second] = [first + first_step * u as f64, second + second_step * u as f64];
                 let step = second - first;
                 let start = first - step;
                 // Pixels beside the volume's outermost voxels show something of them.
@@ -167,36 +215,58 @@ impl Layers {
                 }
                 let [enter, leave] = span;
                 let end = depth.map_or(f64::INFINITY, |depth| depth.end(u, v));
-                pieces(&shapes, start, step, [enter, leave.min(end)], |which, [from, to]| {
+                let before = found.pieces.len();
+                pieces(&shapes, start, step, [enter, leave.min(end)], |within, [from, to]| {
                     let from = if from > enter { from as f32 } else { f32::NEG_INFINITY };
                     let to = if to < leave { to as f32 } else { f32::INFINITY };
-                    found.push((u as u32, which, Stretch { from, to }));
+                    found.add(before, u as u32, within, Stretch { from, to });
                 });
             }
-            found
+            Ok(found)
         };
-        Self { size: factorization.size, pieces: (0..height).into_par_iter().map(scanline).collect() }
+        let scanlines = (0..height).into_par_iter().map(scanline).collect::<Result<_, _>>()?;
+        Ok(Self { size: factorization.size, scanlines })
     }
 
     /// The layers there are, front to back.
     pub fn which(&self) -> BTreeSet<Which> {
-        let of_scanline = |pieces: &Vec<(u32, Which, Stretch)>| pieces.iter().map(|(_, which, _)| *which).collect();
-        self.pieces.par_iter().map(of_scanline).reduce(BTreeSet::new, |mut all: BTreeSet<_>, some| {
-            all.extend(some);
-            all
-        })
+        let of_scanline =
+            |scanline: &Scanline| scanline.pieces.iter().map(|(_, which, _)| *which).collect::<BTreeSet<_>>();
+        self.scanlines
+            .par_iter()
+            .map(of_scanline)
+            .reduce(BTreeSet::new, |all, some| all.union(&some).copied().collect())
     }
 
     /// What is seen of a layer behind an image: nothing where that is as opaque as `termination`.
     pub fn limits(&self, which: Which, image: &IntermediateImage, termination: f32) -> Limits {
-        Limits::new(self.size, |v, row| {
-            for &(u, piece, stretch) in &self.pieces[v] {
+        Limits::new(self.size, |v, row, holes| {
+            let scanline = &self.scanlines[v];
+            for &(u, piece, stretch) in &scanline.pieces {
                 let u = u as usize;
                 if piece == which && image.opacity(u, v) < termination {
                     row[u] = stretch;
                 }
             }
+            holes.extend(scanline.holes.iter().filter(|(of, _)| *of == which).map(|(_, hole)| *hole));
         })
+    }
+}
+
+impl Scanline {
+    /// The next piece of the ray of pixel `u`, whose pieces begin with the one at `first`. Behind one that looks the same, with
+    /// nothing else between the two, it belongs to that.
+    fn add(&mut self, first: usize, u: u32, within: Option<u8>, stretch: Stretch) {
+        if let Some((_, which, last)) = self.pieces[first..].last_mut()
+            && which.within == within
+        {
+            let hole = Stretch { from: last.to, to: stretch.from };
+            self.holes.push((*which, Hole { u, stretch: hole }));
+            last.to = stretch.to;
+            return;
+        }
+        let which = Which { before: (self.pieces.len() - first) as u8, within };
+        self.pieces.push((u, which, stretch));
     }
 }
 
@@ -240,12 +310,13 @@ fn layered(
     cancel: &Cancel,
 ) -> Result<(Vec<Vec4>, Timings), RenderError> {
     let start = Instant::now();
-    let shapes: Arc<[Clip]> = regions.iter().map(|region| region.shape.clone()).collect();
+    let shapes: Arc<[Shape]> = Shape::of(regions).into();
+    let layers = which(view, scene.prepared.volume(), &shapes, cancel)?;
     let (width, height) = view.size();
     let mut pixels = vec![Vec4::ZERO; width as usize * height as usize];
     let mut timings = Timings { shade: start.elapsed(), ..Timings::default() };
-    for which in which(view, scene.prepared.volume(), &shapes) {
-        let Some((scene, settings)) = shown(which, (scene, settings), regions) else { continue };
+    for which in layers {
+        let (scene, settings) = shown(which, (scene, settings), regions);
         let view = view.clone().of_layer(Arc::new(Layer { shapes: Arc::clone(&shapes), which }));
         let (layer, took) = rays(scene, &view, settings, cancel)?;
         pixels.par_iter_mut().zip(layer).for_each(|(front, behind)| *front += behind * (1.0 - front.w));
@@ -257,10 +328,13 @@ fn layered(
 }
 
 /// The layers that there are among the rays of a picture.
-fn which(view: &View, volume: &Volume, shapes: &[Clip]) -> BTreeSet<Which> {
+fn which(view: &View, volume: &Volume, shapes: &[Shape], cancel: &Cancel) -> Result<BTreeSet<Which>, RenderError> {
     let index_from_world = volume.world_from_index().inverse();
     let (width, height) = view.size();
     let row = |y: u32| {
+        if cancel.is_cancelled() {
+            return Err(RenderError::Cancelled);
+        }
         let mut found = BTreeSet::new();
         for x in 0..width {
             let ray = view.ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
@@ -272,16 +346,13 @@ fn which(view: &View, volume: &Volume, shapes: &[Clip]) -> BTreeSet<Which> {
                 span = cut(span, (volume.dims()[axis] - 1) as f64 - start[axis], -step[axis]);
             }
             let span = view.clip().span(ray.origin, ray.direction, span);
-            pieces(shapes, ray.origin, ray.direction, span, |which, _| {
+            each_layer(shapes, ray.origin, ray.direction, span, |which, _| {
                 found.insert(which);
             });
         }
-        found
+        Ok(found)
     };
-    (0..height).into_par_iter().map(row).reduce(BTreeSet::new, |mut all, some| {
-        all.extend(some);
-        all
-    })
+    (0..height).into_par_iter().map(row).try_reduce(BTreeSet::new, |all, some| Ok(all.union(&some).copied().collect()))
 }
 
 #[cfg(test)]
@@ -289,32 +360,37 @@ mod tests {
     use super::*;
     use crate::render::{Ball, HalfSpace};
 
-    fn ball(at: f64, radius: f64) -> Clip {
-        Clip { balls: vec![Ball::new(DVec3::X * at, radius)], halves: vec![] }
+    fn ball(at: f64, radius: f64) -> Shape {
+        let clip = Clip { balls: vec![Ball::new(DVec3::X * at, radius)], halves: vec![] };
+        Shape { clip, is_shown: true }
+    }
+
+    fn cut_out(at: f64, radius: f64) -> Shape {
+        Shape { is_shown: false, ..ball(at, radius) }
     }
 
     /// Pieces along x, and the regions that they lie in.
-    fn pieces(shapes: &[Clip]) -> Vec<(Option<usize>, [f64; 2])> {
+    fn pieces(shapes: &[Shape]) -> Vec<(Option<u8>, [f64; 2])> {
         let mut found = vec![];
-        super::pieces(shapes, DVec3::X * -20.0, DVec3::X, [0.0, 40.0], |which, span| {
-            assert_eq!(usize::from(which.before), found.len());
-            found.push((which.within.map(usize::from), span.map(|at| ((at - 20.0) * 1e6).round() / 1e6)));
+        super::pieces(shapes, DVec3::X * -20.0, DVec3::X, [0.0, 40.0], |within, span| {
+            found.push((within, span.map(|at| ((at - 20.0) * 1e6).round() / 1e6)));
         });
         found
     }
 
     #[test]
     fn pieces_follow_each_other_and_belong_to_the_last_region_that_holds_them() {
-        let around = |pieces: &[(Option<usize>, [f64; 2])]| {
+        let around = |pieces: &[(Option<u8>, [f64; 2])]| {
             assert_eq!((pieces[0].1[0], pieces.last().unwrap().1[1]), (-20.0, 20.0));
             assert!(pieces.windows(2).all(|pair| pair[0].1[1] == pair[1].1[0]), "{pieces:?}");
         };
+        let all = Shape { clip: Clip::default(), is_shown: true };
         for shapes in [
             vec![ball(0.0, 5.0)],
             vec![ball(0.0, 5.0), ball(0.0, 2.0)],
             vec![ball(-3.0, 5.0), ball(3.0, 5.0)],
             vec![ball(0.0, 2.0), ball(0.0, 5.0)],
-            vec![ball(-9.0, 2.0), ball(9.0, 3.0), Clip::default()],
+            vec![ball(-9.0, 2.0), ball(9.0, 3.0), all],
         ] {
             around(&pieces(&shapes));
         }
@@ -333,7 +409,36 @@ mod tests {
             pieces(&[ball(0.0, 2.0), ball(0.0, 5.0)]),
             [(None, [-20.0, -5.0]), (Some(1), [-5.0, 5.0]), (None, [5.0, 20.0])]
         );
-        let half = Clip { halves: vec![HalfSpace { normal: DVec3::X, offset: -3.0 }], balls: vec![] };
+        let clip = Clip { halves: vec![HalfSpace { normal: DVec3::X, offset: -3.0 }], balls: vec![] };
+        let half = Shape { clip, is_shown: true };
         assert_eq!(pieces(&[half]), [(None, [-20.0, 3.0]), (Some(0), [3.0, 20.0])]);
+    }
+
+    #[test]
+    fn what_is_cut_out_leaves_gaps() {
+        // Two that meet are one gap.
+        let shapes = [cut_out(-3.0, 3.0), cut_out(2.0, 2.0), ball(9.0, 3.0), cut_out(9.0, 1.0)];
+        assert_eq!(
+            pieces(&shapes),
+            [
+                (None, [-20.0, -6.0]),
+                (None, [4.0, 6.0]),
+                (Some(2), [6.0, 8.0]),
+                (Some(2), [10.0, 12.0]),
+                (None, [12.0, 20.0])
+            ]
+        );
+        assert_eq!(pieces(&[cut_out(0.0, 30.0)]), []);
+        // Pieces that look the same are of one layer.
+        let mut scanline = Scanline::default();
+        for (within, span) in pieces(&shapes) {
+            let [from, to] = span.map(|at| at as f32);
+            scanline.add(0, 7, within, Stretch { from, to });
+        }
+        let of_layer = |before, within, from, to| (7, Which { before, within }, Stretch { from, to });
+        let layers = [of_layer(0, None, -20.0, 6.0), of_layer(1, Some(2), 6.0, 12.0), of_layer(2, None, 12.0, 20.0)];
+        assert_eq!(scanline.pieces, layers);
+        let holes = scanline.holes.iter().map(|(which, hole)| (hole.u, *which, hole.stretch));
+        assert!(holes.eq([of_layer(0, None, -6.0, 4.0), of_layer(1, Some(2), 8.0, 10.0)]));
     }
 }

@@ -3,6 +3,7 @@
 mod slabs;
 mod voxels;
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use glam::Vec4;
@@ -13,7 +14,7 @@ use super::depth::InverseWarp;
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::ray_light::RayLight;
-use super::regions::{self, Layers, Region};
+use super::regions::{self, Layers, Region, Shape};
 use super::shade::ShadingTable;
 use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
 use crate::classify::Classification;
@@ -64,76 +65,65 @@ fn part(
     timings: &mut Timings,
     cancel: &Cancel,
 ) -> Result<IntermediateImage, RenderError> {
+    let start = Instant::now();
     let volume = scene.prepared.volume();
     let behind = settings.background.behind();
     let depth = InverseWarp::of(view, volume, factorization);
+    let cue = settings.depth_cueing.as_ref().map(|cueing| Cue::new(cueing, view, volume, factorization));
     if regions.is_empty() {
+        let tables = Tables::new(scene, settings, factorization);
         let limited = factorization.clone().limited(depth.map(|depth| depth.limits()));
-        return layer(scene, view, &limited, settings, behind, timings, cancel);
+        let pass = Pass::new(scene, settings, &limited, &tables, cue.as_ref(), cancel);
+        timings.shade += start.elapsed();
+        return pass.image(behind, timings);
     }
 
     // Where regions look otherwise, layer behind layer, in this image already: a ray's pieces are blended before
-    // rays are.
-    let shapes: Vec<_> = regions.iter().map(|region| region.shape.clone()).collect();
-    let layers = Layers::new(volume, factorization, depth.as_ref(), &shapes);
+    // rays are. One layer is over the background at once.
+    let layers = Layers::new(volume, factorization, depth.as_ref(), &Shape::of(regions), cancel)?;
+    let all = layers.which();
+    let ground = if all.len() == 1 { behind } else { Vec4::ZERO };
     let mut image = IntermediateImage::blank(factorization.size);
-    for which in layers.which() {
-        let Some((scene, settings)) = regions::shown(which, (scene, settings), regions) else { continue };
-        let begun = Instant::now();
+    let mut tables = BTreeMap::new();
+    timings.shade += start.elapsed();
+    for &which in &all {
+        let start = Instant::now();
+        let (scene, settings) = regions::shown(which, (scene, settings), regions);
         let limits = layers.limits(which, &image, settings.early_ray_termination);
-        timings.shade += begun.elapsed();
         if limits.is_empty() {
             continue;
         }
         let limited = factorization.clone().limited(Some(limits));
-        image.put_behind(&layer(scene, view, &limited, settings, Vec4::ZERO, timings, cancel)?);
+        let tables = tables.entry(which.within).or_insert_with(|| Tables::new(scene, settings, factorization));
+        let pass = Pass::new(scene, settings, &limited, tables, cue.as_ref(), cancel);
+        timings.shade += start.elapsed();
+        let layer = pass.image(ground, timings)?;
+        if all.len() == 1 {
+            return Ok(layer);
+        }
+        image.put_behind(&layer);
     }
-    image.put_over(behind);
+    image.put_ground_behind(behind);
     Ok(image)
 }
 
-/// The intermediate image of what a factorization's limits leave, over a premultiplied pixel.
-fn layer(
-    scene: &Scene<'_>,
-    view: &View,
-    factorization: &Factorization,
-    settings: &Settings,
-    behind: Vec4,
-    timings: &mut Timings,
-    cancel: &Cancel,
-) -> Result<IntermediateImage, RenderError> {
-    let start = Instant::now();
+/// What depends on the view, of volumes that look the same: light by normal (in perspective there is none, for every ray has
+/// its own).
+struct Tables {
+    shading: Option<ShadingTable>,
+    ray_light: Option<RayLight>,
+}
 
-    // Make the tables that depend on the view: light by normal (in perspective there is none, for
-    // every ray has its own), fading by depth, and, in the pass, opacity and colour by code or by
-    // pairs of them.
-    let volume = scene.prepared.volume();
-    let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-    let shading = settings.shading.as_ref();
-    let ray_light = shading.and_then(|s| RayLight::new(s, volume, factorization));
-    let table = match &ray_light {
-        None => shading.map(|s| ShadingTable::new(s, factorization.direction, frame.world_from_frame)),
-        Some(_) => None,
-    };
-    let cue = settings.depth_cueing.as_ref().map(|cueing| Cue::new(cueing, view, volume, factorization));
-    let pass = Pass {
-        scene,
-        classification: scene.classification.expect("the algorithm needs a classification"),
-        factorization,
-        table: table.as_ref(),
-        ray_light: ray_light.as_ref(),
-        cue: cue.as_ref(),
-        settings,
-        cancel,
-    };
-    let mut image = IntermediateImage::new(factorization.size, behind);
-    let Begun { at, preintegration_table } = match settings.algorithm {
-        Algorithm::Preintegrated => pass.slabs(&mut image),
-        _ => pass.voxels(&mut image),
-    }?;
-    timings.shade += at - start - preintegration_table;
-    timings.preintegration_table += preintegration_table;
-    Ok(image)
+impl Tables {
+    fn new(scene: &Scene<'_>, settings: &Settings, factorization: &Factorization) -> Self {
+        let (volume, shading) = (scene.prepared.volume(), settings.shading.as_ref());
+        if let Some(ray_light) = shading.and_then(|shading| RayLight::new(shading, volume, factorization)) {
+            return Self { shading: None, ray_light: Some(ray_light) };
+        }
+        let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
+        let table = |shading| ShadingTable::new(shading, factorization.direction, frame.world_from_frame);
+        Self { shading: shading.map(table), ray_light: None }
+    }
 }
 
 /// What compositing takes from the frame, whatever its type parameters.
@@ -156,7 +146,42 @@ struct Begun {
     preintegration_table: Duration,
 }
 
-impl Pass<'_> {
+impl<'a> Pass<'a> {
+    fn new(
+        scene: &'a Scene<'a>,
+        settings: &'a Settings,
+        factorization: &'a Factorization,
+        tables: &'a Tables,
+        cue: Option<&'a Cue>,
+        cancel: &'a Cancel,
+    ) -> Self {
+        let classification = scene.classification.expect("the algorithm needs a classification");
+        let Tables { shading, ray_light } = tables;
+        Self {
+            scene,
+            classification,
+            factorization,
+            table: shading.as_ref(),
+            ray_light: ray_light.as_ref(),
+            cue,
+            settings,
+            cancel,
+        }
+    }
+
+    /// The image over a premultiplied pixel.
+    fn image(&self, behind: Vec4, timings: &mut Timings) -> Result<IntermediateImage, RenderError> {
+        let start = Instant::now();
+        let mut image = IntermediateImage::new(self.factorization.size, behind);
+        let Begun { at, preintegration_table } = match self.settings.algorithm {
+            Algorithm::Preintegrated => self.slabs(&mut image),
+            _ => self.voxels(&mut image),
+        }?;
+        timings.shade += at - start - preintegration_table;
+        timings.preintegration_table += preintegration_table;
+        Ok(image)
+    }
+
     /// Composites into `image`.
     fn run(
         &self,

@@ -153,6 +153,19 @@ impl Ball {
         Self { unit_from_space: self.unit_from_space * space_from_other }
     }
 
+    /// Half-spaces along the axes that hold it as closely as they can.
+    pub fn bounds(&self) -> [HalfSpace; 6] {
+        let space_from_unit = self.unit_from_space.inverse();
+        let centre = space_from_unit.translation;
+        let rows = space_from_unit.matrix3.transpose();
+        let sides = [(DVec3::X, rows.x_axis), (DVec3::Y, rows.y_axis), (DVec3::Z, rows.z_axis)].map(|(axis, row)| {
+            let (middle, reach) = (axis.dot(centre), row.length());
+            [HalfSpace { normal: axis, offset: reach - middle }, HalfSpace { normal: -axis, offset: reach + middle }]
+        });
+        let [[a, b], [c, d], [e, f]] = sides;
+        [a, b, c, d, e, f]
+    }
+
     /// Where `start + t step` enters and leaves it; the first above the second where it does not.
     #[inline(always)]
     pub fn span(&self, start: DVec3, step: DVec3) -> [f64; 2] {
@@ -185,7 +198,7 @@ impl Clip {
         let centre = points.iter().sum::<DVec3>() / points.len() as f64;
         let size = points.iter().map(|point| point.distance(centre)).fold(0.0, f64::max);
         let tolerance = 1e-9 * size;
-        let mut halves: Vec<HalfSpace> = vec![];
+        let mut sides: Vec<(DVec3, DVec3)> = vec![];
         for (a, &first) in points.iter().enumerate() {
             for (b, &second) in points.iter().enumerate().skip(a + 1) {
                 for &third in &points[b + 1..] {
@@ -193,21 +206,22 @@ impl Clip {
                     if normal.length() <= 1e-9 * size * size {
                         continue;
                     }
-                    // A side, if all points lie on one side of it; inwards is where the middle is.
+                    // A side, if all points lie on one side of it; inwards is where the middle is. Distances are told from
+                    // one of its points, for the origin may be far away.
                     let normal = normal.normalize() * normal.dot(centre - first).signum();
-                    let half = HalfSpace { normal, offset: -normal.dot(first) };
-                    let distance = |half: &HalfSpace, point: DVec3| half.normal.dot(point) + half.offset;
-                    let is_side = points.iter().all(|point| distance(&half, *point) >= -tolerance);
-                    let is_new = !halves.iter().any(|other| {
+                    let distance = |(normal, on): (DVec3, DVec3), point: DVec3| normal.dot(point - on);
+                    let is_side = points.iter().all(|point| distance((normal, first), *point) >= -tolerance);
+                    let is_new = !sides.iter().any(|&other| {
                         [first, second, third].into_iter().all(|point| distance(other, point).abs() <= tolerance)
                     });
                     if is_side && is_new {
-                        halves.push(half);
+                        sides.push((normal, first));
                     }
                 }
             }
         }
-        (halves.len() >= 4).then_some(Self { halves, balls: vec![] })
+        let half = |&(normal, on): &(DVec3, DVec3)| HalfSpace { normal, offset: -normal.dot(on) };
+        (sides.len() >= 4).then(|| Self { halves: sides.iter().map(half).collect(), balls: vec![] })
     }
 
     /// The same where points are told by other coordinates.
@@ -532,6 +546,10 @@ mod tests {
         }
         let simplex = Clip::hull(&corners[..3].iter().chain(&corners[4..5]).copied().collect::<Vec<_>>()).unwrap();
         assert_eq!(simplex.halves.len(), 4);
+        for far in [1e5, 1e7] {
+            let moved = corners.map(|corner| corner + DVec3::splat(far));
+            assert_eq!(Clip::hull(&moved).unwrap().halves.len(), 6, "{far} mm away");
+        }
         for flat in [&corners[..4], &corners[..2], &[inner; 9], &[]] {
             assert_eq!(Clip::hull(flat), None);
         }

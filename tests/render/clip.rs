@@ -2,12 +2,10 @@
 
 use glam::{DMat3, DVec3};
 use proptest::prelude::*;
-use shearwarp::render::{
-    Algorithm, Ball, Camera, Clip, HalfSpace, Image, Orbit, Projection, Quality, Settings, Shading,
-};
+use shearwarp::render::{Algorithm, Ball, Camera, Clip, HalfSpace, Image, Projection, Quality, Settings, Shading};
 use shearwarp::volume::phantom;
 
-use crate::scenes::{Prepared, medium, plain, same_bits, transfer};
+use crate::scenes::{Prepared, high, medium, orbit, plain, same_bits, transfer};
 
 const SIZE: [u32; 2] = [100, 90];
 
@@ -22,9 +20,9 @@ fn planes(scene: &Prepared) -> impl Iterator<Item = HalfSpace> {
     })
 }
 
-fn orbit(projection: Projection, n: u32) -> Camera {
-    let (azimuth, elevation) = (f64::from(n) * 77.0, (f64::from(n) * 1.3).sin() * 80.0);
-    Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() })
+/// One of many cameras, every way round.
+fn camera(projection: Projection, n: u32) -> Camera {
+    orbit(projection, f64::from(n) * 77.0, (f64::from(n) * 1.3).sin() * 80.0)
 }
 
 /// All of what some planes leave.
@@ -41,14 +39,6 @@ fn frame_and_truth(scene: &Prepared, camera: &Camera, clip: &Clip, settings: &Se
 
 fn alphas(image: &Image) -> impl Iterator<Item = i32> {
     image.pixels.chunks_exact(4).map(|pixel| i32::from(pixel[3]))
-}
-
-fn high() -> Settings {
-    Settings {
-        quality: Quality::High,
-        preintegration: shearwarp::render::Preintegration::of(Quality::High),
-        ..plain(Algorithm::Preintegrated)
-    }
 }
 
 /// How many in a thousand pixels differ by more than `steps`.
@@ -69,7 +59,7 @@ fn a_cut_medium_is_as_deep_as_what_is_left_of_it() {
     let scene = cube();
     for projection in [Projection::Parallel, Projection::Perspective] {
         for (n, plane) in (0..).zip(planes(&scene)) {
-            let camera = orbit(projection, n);
+            let camera = camera(projection, n);
             let off = |settings: &Settings, planes: &[HalfSpace], steps| {
                 beyond(&frame_and_truth(&scene, &camera, &by(planes), settings), steps)
             };
@@ -93,7 +83,7 @@ fn cut_silhouettes_lie_within_half_a_pixel() {
     for algorithm in [Algorithm::Preintegrated, Algorithm::Classified] {
         for projection in [Projection::Parallel, Projection::Perspective] {
             for (n, plane) in (0..).zip(planes(&scene)) {
-                let camera = orbit(projection, n);
+                let camera = camera(projection, n);
                 let off = |planes: &[HalfSpace]| {
                     beyond(&frame_and_truth(&scene, &camera, &by(planes), &plain(algorithm)), 128)
                 };
@@ -112,7 +102,7 @@ fn a_ball_that_is_left_of_a_medium_is_as_deep_as_a_ball() {
     let clip = Clip { halves: vec![], balls: vec![Ball::new(centre + DVec3::new(1.0, -2.0, 0.5), 15.0)] };
     for projection in [Projection::Parallel, Projection::Perspective] {
         for n in 0..8 {
-            let camera = orbit(projection, n);
+            let camera = camera(projection, n);
             let off = |settings: &Settings, steps| beyond(&frame_and_truth(&scene, &camera, &clip, settings), steps);
             let high = off(&high(), 1);
             assert!(high <= 1.0, "{projection:?} {n}: {high} in a thousand pixels of high differ by more than 1");
@@ -124,13 +114,50 @@ fn a_ball_that_is_left_of_a_medium_is_as_deep_as_a_ball() {
     }
 }
 
+/// Slices 5 mm apart, and shapes that are thinner and lie between two of them. Seen from the side they lie between two of the
+/// intermediate image's scanlines, and only rays of the picture's own meet them.
+#[test]
+fn what_lies_between_two_slices_is_left() {
+    let scene = Prepared::new(phantom::from_fn([40, 36, 12], [1.0, 1.1, 5.0], |_, _, _| 100.0), medium(0.5, 1.0), 0.0);
+    let middle = scene.prepared.volume().centre();
+    // The middle lies half-way between two slices.
+    let corners =
+        [0, 1, 2, 3, 4, 5, 6, 7].map(|n| DVec3::new(f64::from(n % 2), f64::from(n / 2 % 2), f64::from(n / 4)) - 0.5);
+    let shape = |size: DVec3| Clip::hull(&corners.map(|corner| middle + corner * size)).unwrap();
+    let ball = Clip { halves: vec![], balls: vec![Ball::new(middle, 2.0)] };
+    for (shape, least) in [(shape(DVec3::new(24.0, 20.0, 1.0)), 30), (ball, 8)] {
+        for projection in [Projection::Parallel, Projection::Perspective] {
+            for (azimuth, elevation) in [(0.0, 90.0), (30.0, 50.0), (200.0, -65.0), (0.0, 0.0), (40.0, 15.0)] {
+                let camera = orbit(projection, azimuth, elevation);
+                for settings in [
+                    high(),
+                    plain(Algorithm::Preintegrated),
+                    plain(Algorithm::Classified),
+                    plain(Algorithm::FastClassification),
+                ] {
+                    if settings.quality != Quality::High && elevation < 40.0 && elevation > -40.0 {
+                        continue;
+                    }
+                    let images = frame_and_truth(&scene, &camera, &shape, &settings);
+                    let seen = alphas(&images[1]).filter(|alpha| *alpha > 100).count();
+                    assert!(seen >= least, "{seen} pixels show it");
+                    let sum = |image: &Image| f64::from(alphas(image).sum::<i32>());
+                    let ratio = sum(&images[0]) / sum(&images[1]);
+                    let name = (settings.algorithm, settings.quality, projection, azimuth, elevation);
+                    assert!((ratio - 1.0).abs() < 0.1, "{name:?}: {ratio} of it");
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn a_part_and_what_was_cut_from_it_are_the_whole() {
     let scene = cube();
     for (n, plane) in (0..).zip(planes(&scene)) {
         let other = HalfSpace { normal: -plane.normal, offset: -plane.offset };
         for settings in [high(), plain(Algorithm::Preintegrated), plain(Algorithm::Classified)] {
-            let view = scene.view(&orbit(Projection::Parallel, n), SIZE[0], SIZE[1]);
+            let view = scene.view(&camera(Projection::Parallel, n), SIZE[0], SIZE[1]);
             let clear = |planes: &[HalfSpace]| -> Vec<f64> {
                 let image = scene.frame(&view.clone().clipped(&by(planes)), &settings);
                 alphas(&image).map(|alpha| 1.0 - f64::from(alpha) / 255.0).collect()
@@ -152,7 +179,7 @@ fn a_plane_that_misses_the_volume_changes_no_bit() {
         for settings in
             [high(), plain(Algorithm::Preintegrated), plain(Algorithm::Classified), plain(Algorithm::Raycast)]
         {
-            let view = scene.view(&orbit(projection, 3), 60, 50);
+            let view = scene.view(&camera(projection, 3), 60, 50);
             assert!(scene.frame(&view, &settings) == scene.frame(&view.clone().clipped(&by(&[far])), &settings));
         }
     }
@@ -183,7 +210,7 @@ proptest! {
         ];
         let ball = Ball::new(centre + normal * 2.0, radius * (0.5 + thickness));
         let projection = if perspective { Projection::Perspective } else { Projection::Parallel };
-        let view = scene.view(&orbit(projection, n), 40, 36).clipped(&Clip { halves: planes.to_vec(), balls: vec![ball] });
+        let view = scene.view(&camera(projection, n), 40, 36).clipped(&Clip { halves: planes.to_vec(), balls: vec![ball] });
         let algorithm = if slabs { Algorithm::Preintegrated } else { Algorithm::Classified };
         let settings = Settings { shading: lit.then(Shading::default), early_ray_termination: 0.98, ..plain(algorithm) };
         same_bits(&scene, &view, &settings);

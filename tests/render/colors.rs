@@ -3,11 +3,11 @@
 use glam::DVec3;
 use proptest::prelude::*;
 use shearwarp::classify::{Color, ControlPoint, TransferFunction};
-use shearwarp::render::{Algorithm, Camera, Image, Orbit, Projection, Quality, Sampling, Settings, Shading};
+use shearwarp::render::{Algorithm, Projection, Quality, Sampling, Settings, Shading};
 use shearwarp::volume::pyramid::{BoxFilter, coarser, coarser_by};
 use shearwarp::volume::{Colors, ImportReport, Placement, ScalarType, Volume, phantom};
 
-use crate::scenes::{Prepared, on_threads, plain};
+use crate::scenes::{Prepared, on_threads, orbit, plain, premultiplied, psnr};
 
 const SIZE: [u32; 2] = [90, 80];
 const SAMPLINGS: [Sampling; 2] = [Sampling::Extinction, Sampling::Opacity];
@@ -38,25 +38,6 @@ fn blobs(dims: [usize; 3], seed: u32) -> Volume {
         let alpha = ((a - 0.5) * 2.0).clamp(0.0, 1.0) * 90.0;
         [(r * 255.0) as u8, (g * 255.0) as u8, (b * 255.0) as u8, alpha as u8]
     })
-}
-
-fn orbit(projection: Projection, azimuth: f64, elevation: f64) -> Camera {
-    Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() })
-}
-
-fn premultiplied(image: &Image) -> impl Iterator<Item = [f64; 4]> {
-    let pixel = |p: &[u8]| {
-        let alpha = f64::from(p[3]) / 255.0;
-        [f64::from(p[0]) * alpha, f64::from(p[1]) * alpha, f64::from(p[2]) * alpha, f64::from(p[3])]
-    };
-    image.pixels.chunks_exact(4).map(pixel)
-}
-
-/// dB, of premultiplied components.
-fn psnr(a: &Image, b: &Image) -> f64 {
-    let squares: Vec<f64> =
-        premultiplied(a).zip(premultiplied(b)).flat_map(|(a, b)| [0, 1, 2, 3].map(|n| (a[n] - b[n]).powi(2))).collect();
-    10.0 * (255.0 * 255.0 * squares.len() as f64 / squares.iter().sum::<f64>()).log10()
 }
 
 #[test]

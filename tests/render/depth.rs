@@ -5,26 +5,12 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use proptest::prelude::*;
 use shearwarp::render::depth::SceneDepth;
-use shearwarp::render::{
-    Algorithm, Camera, Image, Orbit, Preintegration, Projection, Quality, Ray, Settings, Shading, View,
-};
+use shearwarp::render::{Algorithm, Image, Projection, Ray, Settings, Shading, View};
 use shearwarp::volume::phantom;
 
-use crate::scenes::{Prepared, medium, plain, same_bits, transfer};
+use crate::scenes::{Prepared, high, medium, orbit, plain, same_bits, transfer};
 
 const SIZE: [u32; 2] = [120, 100];
-
-fn high() -> Settings {
-    Settings {
-        quality: Quality::High,
-        preintegration: Preintegration::of(Quality::High),
-        ..plain(Algorithm::Preintegrated)
-    }
-}
-
-fn orbit(projection: Projection, azimuth: f64, elevation: f64) -> Camera {
-    Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() })
-}
 
 /// Where a ray first meets a sphere and a cone that stands on its tip beside it; mm, infinite where it meets neither.
 fn sphere_and_cone(ray: &Ray, centre: DVec3, size: f64) -> f64 {

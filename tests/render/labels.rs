@@ -3,10 +3,10 @@
 use proptest::prelude::*;
 use shearwarp::classify::labels::{LabelLook, LabelTables, Labels, union};
 use shearwarp::classify::{Classification, Encodings, Purpose, TransferFunction};
-use shearwarp::render::{Algorithm, Camera, Cancel, Image, Orbit, Projection, Scene, Settings, Shading, View, render};
+use shearwarp::render::{Algorithm, Cancel, Image, Projection, Scene, Settings, Shading, View, render};
 use shearwarp::volume::{ImportReport, PreparedVolume, ScalarType, Scalars, Volume, phantom};
 
-use crate::scenes::{on_threads, plain, transfer};
+use crate::scenes::{on_threads, orbit, plain, psnr, transfer};
 
 /// A volume with a segmentation of it.
 struct Labelled {
@@ -28,9 +28,8 @@ impl Labelled {
     }
 
     fn view(&self, projection: Projection, azimuth: f64, elevation: f64) -> View {
-        let camera = Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() });
         let volume = self.prepared.volume();
-        View::new(&camera, volume.centre(), volume.radius(), 64, 56).unwrap()
+        View::new(&orbit(projection, azimuth, elevation), volume.centre(), volume.radius(), 64, 56).unwrap()
     }
 
     fn frame(&self, view: &View, settings: &Settings) -> Image {
@@ -56,23 +55,6 @@ fn segmentation(like: &Volume, wide: bool, label: impl Fn([usize; 3]) -> u16) ->
         if wide { Scalars::U16(labels) } else { Scalars::U8(labels.into_iter().map(|label| label as u8).collect()) };
     let report = ImportReport::plain("test", ScalarType::U16);
     Volume::new(dims, *like.placement(), scalars, (1.0, 0.0), report).unwrap()
-}
-
-fn premultiplied(image: &Image) -> impl Iterator<Item = f64> {
-    image.pixels.chunks_exact(4).flat_map(|p| {
-        let alpha = f64::from(p[3]) / 255.0;
-        [f64::from(p[0]) * alpha, f64::from(p[1]) * alpha, f64::from(p[2]) * alpha, f64::from(p[3])]
-    })
-}
-
-/// dB, of premultiplied components.
-fn psnr(a: &Image, b: &Image) -> f64 {
-    let squares: Vec<f64> = premultiplied(a).zip(premultiplied(b)).map(|(a, b)| (a - b).powi(2)).collect();
-    10.0 * (255.0 * 255.0 * squares.len() as f64 / squares.iter().sum::<f64>().max(1e-9)).log10()
-}
-
-fn noise(dims: [usize; 3], seed: u32) -> Volume {
-    phantom::noise(dims, seed)
 }
 
 /// In each eighth of the volume another label.
@@ -102,7 +84,7 @@ fn a_label_that_is_not_visible_is_gone_and_the_others_stay() {
 #[test]
 fn labels_are_where_the_ray_caster_has_them() {
     let dims = [36, 40, 34];
-    let volume = noise(dims, 9);
+    let volume = phantom::noise(dims, 9);
     let labels = segmentation(&volume, false, eighths(dims));
     let others = transfer(&[(0.0, 0.0), (1500.0, 0.0), (2800.0, 0.2)]);
     let looks = [
@@ -111,7 +93,8 @@ fn labels_are_where_the_ray_caster_has_them() {
         LabelLook { label: 5, transfer: transfer(&[(1000.0, 0.3), (2000.0, 0.0)]) },
     ];
     let scene = Labelled::new(volume, labels, &looks, &others);
-    let without = Labelled::new(noise(dims, 9), segmentation(&noise(dims, 9), false, |_| 0), &looks, &others);
+    let without =
+        Labelled::new(phantom::noise(dims, 9), segmentation(&phantom::noise(dims, 9), false, |_| 0), &looks, &others);
     for projection in [Projection::Parallel, Projection::Perspective] {
         for (azimuth, elevation) in [(20.0, 10.0), (100.0, -30.0), (250.0, 75.0)] {
             let view = scene.view(projection, azimuth, elevation);
@@ -134,7 +117,7 @@ proptest! {
         opacity in 0.0..1.0,
     ) {
         let dims = [19, 23, 17];
-        let volume = noise(dims, seed);
+        let volume = phantom::noise(dims, seed);
         let labels = segmentation(&volume, wide, eighths(dims));
         let looks = [
             LabelLook { label: 3, transfer: transfer(&[(0.0, opacity), (2000.0, 0.0)]) },

@@ -4,32 +4,20 @@ use glam::DVec3;
 use proptest::prelude::*;
 use shearwarp::render::regions::{Region, render_with_regions};
 use shearwarp::render::{
-    Algorithm, Ball, Blend, Camera, Cancel, Clip, HalfSpace, Image, IntensityProjection, Orbit, Preintegration,
-    Projection, Quality, Settings, Shading, View, Window,
+    Algorithm, Ball, Blend, Cancel, Clip, DepthCueing, HalfSpace, Image, IntensityProjection, Projection, Settings,
+    Shading, View, Window,
 };
 use shearwarp::volume::{Volume, phantom};
 
-use crate::scenes::{Prepared, medium, on_threads, plain, transfer};
+use crate::scenes::{Prepared, high, medium, on_threads, orbit, plain, premultiplied, transfer};
 
 const SIZE: [u32; 2] = [100, 90];
-
-fn high() -> Settings {
-    Settings {
-        quality: Quality::High,
-        preintegration: Preintegration::of(Quality::High),
-        ..plain(Algorithm::Preintegrated)
-    }
-}
 
 /// Every way to make a frame.
 fn all_settings() -> [Settings; 5] {
     let [classified, fast, slabs, exact] =
         [Algorithm::Classified, Algorithm::FastClassification, Algorithm::Preintegrated, Algorithm::Raycast].map(plain);
     [classified, fast, slabs, high(), Settings { sample_distance: 0.1, ..exact }]
-}
-
-fn orbit(projection: Projection, azimuth: f64, elevation: f64) -> Camera {
-    Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() })
 }
 
 /// A ball beside the middle, with a part of its own in it, and a half of the world that holds some of both.
@@ -67,16 +55,8 @@ fn frame(
 
 /// How many in a thousand pixels differ by more than `steps` in any component.
 fn beyond(a: &Image, b: &Image, steps: u8) -> f64 {
-    let pixels = a.pixels.chunks_exact(4).zip(b.pixels.chunks_exact(4));
-    // Colours of pixels that are all but transparent are rounded from next to nothing.
-    let premultiplied = |p: &[u8]| {
-        [0, 1, 2, 3].map(|n| if n < 3 { f32::from(p[n]) * f32::from(p[3]) / 255.0 } else { f32::from(p[3]) })
-    };
-    let differ = |(a, b): &(&[u8], &[u8])| {
-        let (a, b) = (premultiplied(a), premultiplied(b));
-        a.iter().zip(b).any(|(a, b)| (a - b).abs() > f32::from(steps) + 0.5)
-    };
-    1000.0 * pixels.filter(differ).count() as f64 / f64::from(a.width * a.height)
+    let differ = |(a, b): &([f64; 4], [f64; 4])| (0..4).any(|n| (a[n] - b[n]).abs() > f64::from(steps) + 0.5);
+    1000.0 * premultiplied(a).zip(premultiplied(b)).filter(differ).count() as f64 / f64::from(a.width * a.height)
 }
 
 fn alpha(image: &Image) -> impl Iterator<Item = f64> {
@@ -177,6 +157,22 @@ fn regions_are_where_the_ray_caster_has_them() {
     }
 }
 
+/// Depth cueing may make colours brighter than their opacity: no sum of layers is more than white.
+#[test]
+fn colours_of_layers_end_at_white() {
+    let scene = noise();
+    let [ball, ..] = shapes(scene.prepared.volume());
+    let view = scene.view(&orbit(Projection::Parallel, 20.0, 10.0), SIZE[0], SIZE[1]);
+    for settings in all_settings() {
+        let settings = Settings { depth_cueing: Some(DepthCueing { front: 10.0, density: 0.5 }), ..settings };
+        let whole = frame(&scene, &view, &settings, &[], true);
+        assert!(whole.pixels.chunks_exact(4).filter(|pixel| pixel[0] == 255 && pixel[3] < 200).count() > 100);
+        let parts = frame(&scene, &view, &settings, &[(ball.clone(), Some((&scene, &settings)))], true);
+        let off = beyond(&whole, &parts, 3);
+        assert!(off <= 3.0, "{:?} {:?}: {off} in a thousand differ", settings.algorithm, settings.quality);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
     #[test]
@@ -189,13 +185,21 @@ proptest! {
         let projection = if perspective { Projection::Perspective } else { Projection::Parallel };
         let view = around.view(&orbit(projection, azimuth, elevation), 48, 40);
         let [ball, _, half] = shapes(around.prepared.volume());
-        let small = Clip { halves: vec![], balls: vec![Ball::new(around.prepared.volume().centre(), 10.0 * size)] };
+        let centre = around.prepared.volume().centre();
+        let small = Clip { halves: vec![], balls: vec![Ball::new(centre, 10.0 * size)] };
+        // Holes in what is around, and one that is thinner than a slab.
+        let thin = [HalfSpace { normal: DVec3::Y, offset: 0.3 - centre.y }, HalfSpace { normal: -DVec3::Y, offset: centre.y }];
+        let thin = Clip { halves: thin.to_vec(), balls: vec![Ball::new(centre, 7.0)] };
         for settings in all_settings() {
             let settings = Settings { shading: Some(Shading::default()), early_ray_termination: 0.97, ..settings };
             let made = |skipping: bool, encoded: bool| {
                 let settings = Settings { skipping, ..settings.clone() };
-                let regions =
-                    [(ball.clone(), Some((&within, &settings))), (half.clone(), None), (small.clone(), Some((&around, &settings)))];
+                let regions = [
+                    (ball.clone(), Some((&within, &settings))),
+                    (half.clone(), None),
+                    (small.clone(), Some((&around, &settings))),
+                    (thin.clone(), None),
+                ];
                 frame(&around, &view, &settings, &regions, encoded)
             };
             let first = made(true, true);

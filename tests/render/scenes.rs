@@ -4,8 +4,8 @@ use glam::{DVec2, DVec3, Vec4};
 use shearwarp::classify::{Classification, Color, ControlPoint, Encodings, Purpose, TransferFunction};
 use shearwarp::raycast::raycast;
 use shearwarp::render::{
-    Algorithm, Background, BufferSlice, Camera, Cancel, Image, Preintegration, Projection, Quality, Scene, Settings,
-    View, render,
+    Algorithm, Background, BufferSlice, Camera, Cancel, Image, Orbit, Preintegration, Projection, Quality, Scene,
+    Settings, View, render,
 };
 use shearwarp::volume::{PreparedVolume, Volume};
 
@@ -110,6 +110,36 @@ pub fn plain(algorithm: Algorithm) -> Settings {
         early_ray_termination: 1.0,
         ..Settings::new(algorithm, Quality::Standard)
     }
+}
+
+/// The same with `high`'s quality.
+pub fn high() -> Settings {
+    Settings {
+        quality: Quality::High,
+        preintegration: Preintegration::of(Quality::High),
+        ..plain(Algorithm::Preintegrated)
+    }
+}
+
+/// Around the volume's centre.
+pub fn orbit(projection: Projection, azimuth: f64, elevation: f64) -> Camera {
+    Camera::Orbit(Orbit { projection, azimuth, elevation, ..Orbit::default() })
+}
+
+/// Colours times alpha, and alpha, 0 to 255: straight colours of pixels that are all but transparent are rounded from next to
+/// nothing.
+pub fn premultiplied(image: &Image) -> impl Iterator<Item = [f64; 4]> {
+    image.pixels.chunks_exact(4).map(|pixel| {
+        let [r, g, b, alpha] = [0, 1, 2, 3].map(|n| f64::from(pixel[n]));
+        [r * alpha / 255.0, g * alpha / 255.0, b * alpha / 255.0, alpha]
+    })
+}
+
+/// dB, of premultiplied components.
+pub fn psnr(a: &Image, b: &Image) -> f64 {
+    let squares: Vec<f64> =
+        premultiplied(a).zip(premultiplied(b)).flat_map(|(a, b)| [0, 1, 2, 3].map(|n| (a[n] - b[n]).powi(2))).collect();
+    10.0 * (255.0 * 255.0 * squares.len() as f64 / squares.iter().sum::<f64>().max(1e-9)).log10()
 }
 
 /// Control points of (value, opacity), coloured along a fixed rainbow.

@@ -14,7 +14,6 @@ use super::slabs::SlabComposite;
 use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, Weights};
 use crate::classify::preintegration::Slabs;
-use crate::render::depth::Stretch;
 use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
 use crate::render::material::Light;
@@ -63,8 +62,8 @@ impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: b
                 sample *= opacity_ratio(sample.w, length);
             }
             if !whole {
-                let [enter, leave] = f.cut(u, v, f.interval(k));
-                sample *= if enter < leave { opacity_ratio(sample.w, leave - enter) } else { 0.0 };
+                let left: f32 = f.left(u, v, f.interval(k)).map(|[enter, leave]| leave - enter).sum();
+                sample *= if left > 0.0 { opacity_ratio(sample.w, left) } else { 0.0 };
             }
             if let Some(cue) = self.cue {
                 sample = (sample * cue.slice(k as f64).scanline(v).at(u)).with_w(sample.w);
@@ -97,10 +96,9 @@ impl<L, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACT
 fn clipped(f: &Factorization, [u, v]: [usize; 2], slices: [f64; 2]) -> Option<bool> {
     let [mut some, mut whole] = f.clipped_pixels(v, slices).map(|pixels| pixels.contains(&u));
     if let Some(limits) = f.limits() {
-        let Stretch { from, to } = limits.at(u, v);
-        let [first, last] = slices.map(|k| f.position(k) as f32);
-        some &= from < last && to > first;
-        whole &= from <= first && to >= last;
+        let (seen, between) = (limits.at(u, v), slices.map(|k| f.position(k) as f32));
+        some &= seen.meets(between) && !limits.holes(u, v).any(|hole| hole.holds(between));
+        whole &= seen.holds(between) && !limits.holes(u, v).any(|hole| hole.meets(between));
     }
     some.then_some(whole)
 }
@@ -143,8 +141,8 @@ impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S
                 sample.with_x(self.table.coordinate(sample.x))
             });
             let length = if L::LENGTHS { f.relative_length(u, v) * slab.share } else { 1.0 };
-            let cut = (!whole).then(|| f.cut(u, v, slab.ends));
-            let mut sample = self.cut_sample(front, back, length, cut);
+            let left = (!whole).then(|| f.left(u, v, slab.ends));
+            let mut sample = self.cut_sample(front, back, length, left);
             if let Some(cue) = slab.cue {
                 sample = (sample * cue.scanline(v).at(u)).with_w(sample.w);
             }

@@ -282,8 +282,8 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
             let u = run.u + at;
             let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
-            let cut = clipped.cuts(u, 1).then(|| self.factorization.cut(u, v, slab.ends));
-            let mut sample = self.cut_sample(*front, *back, length, cut);
+            let left = clipped.cuts(u, 1).then(|| self.factorization.left(u, v, slab.ends));
+            let mut sample = self.cut_sample(*front, *back, length, left);
             if let Some(cue) = run.cue {
                 sample = (sample * cue.at(u)).with_w(sample.w);
             }
@@ -293,18 +293,23 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         opaque
     }
 
-    /// The sample of a slab of which `cut` is left (`None`: all).
-    pub(super) fn cut_sample(&self, front: Vec4, back: Vec4, length: f32, cut: Option<[f32; 2]>) -> Vec4 {
+    /// The sample of a slab of which these pieces are left (`None`: all).
+    pub(super) fn cut_sample(
+        &self,
+        front: Vec4,
+        back: Vec4,
+        length: f32,
+        left: Option<impl Iterator<Item = [f32; 2]>>,
+    ) -> Vec4 {
         let sample = |front, back| match self.voxels.is_lit() {
             true => self.sample::<true>(front, back, length),
             false => self.sample::<false>(front, back, length),
         };
-        let Some([enter, leave]) = cut else { return sample(front, back) };
-        if enter >= leave {
-            return Vec4::ZERO;
-        }
-        let slab = sample(front.lerp(back, enter), front.lerp(back, leave));
-        slab * opacity_ratio(slab.w, leave - enter)
+        let Some(left) = left else { return sample(front, back) };
+        left.fold(Vec4::ZERO, |before, [enter, leave]| {
+            let slab = sample(front.lerp(back, enter), front.lerp(back, leave));
+            over(before, slab * opacity_ratio(slab.w, leave - enter))
+        })
     }
 
     /// Premultiplied colour and opacity between two samples, of a slab of so many times the view's length.

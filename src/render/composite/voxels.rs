@@ -246,8 +246,8 @@ impl<L, V, H, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
         if !clipped.cuts(u, 1) {
             return None;
         }
-        let [enter, leave] = self.factorization.cut(u, v, self.factorization.interval(k));
-        Some((leave - enter).max(0.0))
+        let left = self.factorization.left(u, v, self.factorization.interval(k));
+        Some(left.map(|[enter, leave]| leave - enter).sum())
     }
 }
 

@@ -30,8 +30,8 @@ use std::ops::Range;
 
 use glam::{DMat3, DVec2, DVec3};
 
-use super::{AXIS_MARGIN, Factorization, PERMUTATIONS, Shear, clip, permuted};
-use crate::render::view::View;
+use super::{AXIS_MARGIN, Factorization, PERMUTATIONS, Shear, permuted};
+use crate::render::view::{Clip, View};
 use crate::volume::Volume;
 
 /// Voxels by which a ray may move from slice to slice along either axis before the picture is split. (A
@@ -216,7 +216,7 @@ impl Pyramid {
             (false, among) => slices.start - usize::from(among),
             (true, among) => slices.end - usize::from(!among),
         };
-        Some(Factorization {
+        let unclipped = Factorization {
             principal_axis: axis.axis,
             dims,
             reversed: axis.reversed,
@@ -234,9 +234,11 @@ impl Pyramid {
                 sheared(directions.z_axis),
             ),
             extent,
-            clip: clip(axis.axis, view, &world_from_index),
+            clip: Clip::default(),
+            clip_bounds: vec![],
             limits: None,
-        })
+        };
+        Some(unclipped.clipped(view, &world_from_index))
     }
 }
 
