@@ -416,12 +416,12 @@ mod tests {
 
     #[test]
     fn what_is_cut_out_leaves_gaps() {
-        // Two that meet are one gap.
-        let shapes = [cut_out(-3.0, 3.0), cut_out(2.0, 2.0), ball(9.0, 3.0), cut_out(9.0, 1.0)];
+        // Two that overlap are one gap.
+        let shapes = [cut_out(-3.0, 3.5), cut_out(2.0, 2.0), ball(9.0, 3.0), cut_out(9.0, 1.0)];
         assert_eq!(
             pieces(&shapes),
             [
-                (None, [-20.0, -6.0]),
+                (None, [-20.0, -6.5]),
                 (None, [4.0, 6.0]),
                 (Some(2), [6.0, 8.0]),
                 (Some(2), [10.0, 12.0]),
@@ -439,6 +439,6 @@ mod tests {
         let layers = [of_layer(0, None, -20.0, 6.0), of_layer(1, Some(2), 6.0, 12.0), of_layer(2, None, 12.0, 20.0)];
         assert_eq!(scanline.pieces, layers);
         let holes = scanline.holes.iter().map(|(which, hole)| (hole.u, *which, hole.stretch));
-        assert!(holes.eq([of_layer(0, None, -6.0, 4.0), of_layer(1, Some(2), 8.0, 10.0)]));
+        assert!(holes.eq([of_layer(0, None, -6.5, 4.0), of_layer(1, Some(2), 8.0, 10.0)]));
     }
 }

@@ -32,9 +32,8 @@ use crate::classify::labels::LabelTables;
 use crate::classify::{Classification, Encodings, Purpose, TransferFunction};
 use crate::render::Cancel;
 
-/// Shares of the cache that are for classifications and labels' tables, which are small beside encodings.
-const CLASSIFICATIONS_SHARE: u64 = 4;
-const LABELS_SHARE: u64 = 8;
+/// Share of the cache that is for tables, which are small beside encodings: half of it for those of labels.
+const TABLES_SHARE: u64 = 4;
 
 /// What a classified volume is made from, besides the volume.
 #[derive(Clone, Debug, PartialEq)]
@@ -108,12 +107,12 @@ impl ClassifiedCache {
     /// An empty cache for `bytes` of classifications and encodings at most; encodings may be kept in
     /// `folder` too.
     pub fn new(bytes: u64, folder: Option<CacheFolder>) -> Self {
-        let for_classifications = bytes / CLASSIFICATIONS_SHARE;
-        let for_labels = bytes / LABELS_SHARE;
-        let room = bytes - for_classifications - for_labels;
+        let for_tables = bytes / TABLES_SHARE;
+        let for_labels = for_tables / 2;
+        let room = bytes - for_tables;
         let classifications = Cache::builder()
             .weigher(|key: &Arc<str>, asked: &Arc<Asked>| kib(key.len() as u64 + asked.classification.bytes()))
-            .max_capacity(for_classifications / 1024)
+            .max_capacity((for_tables - for_labels) / 1024)
             .eviction_policy(EvictionPolicy::lru())
             .build();
         let labels = Cache::builder()

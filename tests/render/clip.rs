@@ -144,7 +144,7 @@ fn what_lies_between_two_slices_is_left() {
                     let sum = |image: &Image| f64::from(alphas(image).sum::<i32>());
                     let ratio = sum(&images[0]) / sum(&images[1]);
                     let name = (settings.algorithm, settings.quality, projection, azimuth, elevation);
-                    assert!((ratio - 1.0).abs() < 0.1, "{name:?}: {ratio} of it");
+                    assert!((ratio - 1.0).abs() < 0.15, "{name:?}: {ratio} of it");
                 }
             }
         }
