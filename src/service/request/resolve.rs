@@ -224,6 +224,7 @@ impl RenderRequest {
             preintegration: self.preintegration,
             depth_cueing: self.depth_cueing,
             background: self.background,
+            stage: self.stage,
             shading,
             early_ray_termination: self.early_ray_termination.map_or(defaults.early_ray_termination, |t| t as f32),
             sample_distance: self.sample_distance.unwrap_or(defaults.sample_distance),
@@ -367,7 +368,8 @@ impl ResolvedRequest {
     pub fn canonical(&self) -> String {
         let settings = &self.look.settings;
         // Debug writes floats with as many digits as tell them apart.
-        let frame = format!("{:?} {:?} {}", self.view, settings.background, settings.algorithm.name());
+        let Settings { background, stage, algorithm, .. } = settings;
+        let frame = format!("{:?} {background:?} {stage:?} {}", self.view, algorithm.name());
         let regions = self.regions.iter().map(|RegionLook { shape, look }| {
             format!(" {shape:?} {}", look.as_ref().map_or("nothing".into(), Look::canonical))
         });
@@ -393,7 +395,7 @@ impl Look {
         self.settings.algorithm != Algorithm::FastClassification
     }
 
-    /// All that the pixels depend on besides volume, view, background and algorithm.
+    /// All that the pixels depend on besides volume, view, background, stage and algorithm.
     fn canonical(&self) -> String {
         let settings = &self.settings;
         let samples = match (settings.algorithm, settings.blend) {
@@ -514,6 +516,7 @@ mod tests {
             r#"{"preintegration": {"entries": 256, "lookup": "bilinear", "buffer": "image"}}"#,
             r#"{"clip": []}"#,
             r#"{"level": 0}"#,
+            r#"{"image": {"stage": "final"}}"#,
         ];
         for json in equal {
             assert_eq!(canonical(json), canonical("{}"), "{json}");
@@ -548,6 +551,7 @@ mod tests {
             r#"{"image": {"width": 511}}"#,
             r#"{"image": {"background": "transparent"}}"#,
             r##"{"image": {"background": "#000001"}}"##,
+            r#"{"image": {"stage": "intermediate"}}"#,
             r#"{"shading": false}"#,
             r#"{"shading": {"ambient": 0.3}}"#,
             r#"{"algorithm": "raycast"}"#,
