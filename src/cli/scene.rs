@@ -92,7 +92,9 @@ impl RequestArguments {
             Some(path) => fs::read(path).map_err(|error| Failure::Usage(format!("{}: {error}", path.display())))?,
         };
         let options = self.options.iter().map(|(name, text)| (*name, text.as_str()));
-        RenderRequest::from_json_and_options(&json, options).map_err(refused)
+        let request = RenderRequest::from_json_and_options(&json, options).map_err(refused)?;
+        request.is_final().map_err(refused)?;
+        Ok(request)
     }
 }
 

@@ -164,7 +164,7 @@ mod tests {
         let pixel = |x: u32, y: u32| [(x * 3) as u8, (y * 7 % 32) as u8, (x ^ y) as u8, (255 - x) as u8];
         let rows = (0..height).flat_map(|y| (0..width).map(move |x| pixel(x, y)));
         let pixels = rows.flat_map(|p| p.into_iter().take(channels as usize)).collect();
-        Image { width, height, channels, pixels }
+        Image { width, height, channels, pixels, warp: None }
     }
 
     fn decode_png(bytes: &[u8]) -> (png::OutputInfo, Vec<u8>) {
@@ -216,7 +216,7 @@ mod tests {
     fn what_a_format_cannot_hold_is_refused() {
         let refused = encode(&picture(4, 4, 4), Format::Jpeg).unwrap_err();
         assert!(refused.to_string().contains("transparency"), "{refused}");
-        let long = Image { width: 20_000, height: 1, channels: 3, pixels: vec![0; 60_000] };
+        let long = Image { width: 20_000, height: 1, channels: 3, pixels: vec![0; 60_000], warp: None };
         let refused = encode(&long, Format::Webp).unwrap_err();
         assert!(refused.to_string().contains("16383"), "{refused}");
         assert!(encode(&long, Format::Png).is_ok());

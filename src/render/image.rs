@@ -4,15 +4,18 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::Background;
+use super::warp::Warp;
 
 /// 8-bit pixels, row 0 on top, rows without padding.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Image {
     pub width: u32,
     pub height: u32,
     /// 3 (RGB) or 4 (RGBA, straight alpha).
     pub channels: u8,
     pub pixels: Vec<u8>,
+    /// Of an intermediate image: what is left to be done. `None`: nothing, it is the final one.
+    pub warp: Option<Warp>,
 }
 
 impl Image {
@@ -100,7 +103,7 @@ pub(super) fn write(pixels: &[Vec4], background: &Background, width: u32, height
     let mut bytes = vec![0; pixels.len() * channels];
     let rows = bytes.par_chunks_mut(width as usize * channels).zip(pixels.par_chunks(width as usize));
     rows.for_each(|(out, row)| write_row(row, background, out));
-    Image { width, height, channels: channels as u8, pixels: bytes }
+    Image { width, height, channels: channels as u8, pixels: bytes, warp: None }
 }
 
 /// Writes a row of premultiplied pixels.

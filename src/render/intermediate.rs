@@ -17,6 +17,8 @@ use std::sync::{Mutex, PoisonError};
 use glam::Vec4;
 use rayon::prelude::*;
 
+use super::Background;
+
 /// Pixels of a mask word.
 const WORD: usize = 64;
 
@@ -155,6 +157,21 @@ impl IntermediateImage {
     /// How opaque pixel (u, v) is, 0..1; with an image of its own behind it, how opaque both are.
     pub fn opacity(&self, u: usize, v: usize) -> f32 {
         f32::from(self.pixels[v * self.size[0] + u][3]) / f32::from(ONE)
+    }
+
+    /// Writes pixels of scanline `v` as 8-bit ones over the background that they have been put over already.
+    pub fn write(&self, v: usize, us: Range<usize>, background: &Background, out: &mut [u8]) {
+        let pixels = &self.pixels[v * self.size[0]..][us];
+        for (pixel, out) in pixels.iter().zip(out.chunks_exact_mut(background.channels())) {
+            // Straight alpha: rounded once.
+            let whole = if out.len() == 4 { i32::from(pixel[3].max(1)) } else { i32::from(ONE) };
+            for (component, out) in pixel.iter().zip(&mut out[..3]) {
+                *out = ((i32::from(*component) * 255 + whole / 2) / whole).min(255) as u8;
+            }
+            if let Some(alpha) = out.get_mut(3) {
+                *alpha = ((pixel[3] + (1 << (ONE_SHIFT - 1))) >> ONE_SHIFT) as u8;
+            }
+        }
     }
 
     /// Puts an image of the same size behind this one; neither has anything behind it yet.

@@ -233,6 +233,18 @@ pub enum Background {
     Opaque([f32; 3]),
 }
 
+/// How far a frame is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Stage {
+    /// The view's own pixels.
+    #[default]
+    Final,
+    /// The intermediate image and its warp, for whoever warps it himself, where a frame is one warp of one image that is no
+    /// larger than the view's own.
+    Intermediate,
+}
+
 /// What is interpolated between voxels with colours of their own (Kraus and Bürger 2008).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -254,6 +266,7 @@ pub struct Settings {
     pub preintegration: Preintegration,
     pub depth_cueing: Option<DepthCueing>,
     pub background: Background,
+    pub stage: Stage,
     /// `None`: colours as the transfer function gives them.
     pub shading: Option<Shading>,
     /// Accumulated opacity at which a pixel is done; 1: never.
@@ -276,6 +289,7 @@ impl Settings {
             preintegration: Preintegration::of(quality),
             depth_cueing: None,
             background: Background::Opaque([0.0; 3]),
+            stage: Stage::Final,
             shading: Some(Shading::default()),
             early_ray_termination: match (algorithm, quality) {
                 (Algorithm::Raycast, _) | (_, Quality::High) => TERMINATION_REFERENCE,

@@ -16,7 +16,7 @@ use super::intermediate::IntermediateImage;
 use super::ray_light::RayLight;
 use super::regions::{self, Layers, Region, Shape};
 use super::shade::ShadingTable;
-use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Timings, View, warp};
+use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Stage, Timings, View, warp};
 use crate::classify::Classification;
 use crate::volume::gradient::GradientFrame;
 
@@ -41,18 +41,29 @@ pub(super) fn frame(
     }
     let composited = start.elapsed();
 
-    // Warp the intermediate images into the final one.
+    // Warp the intermediate images into the final one, or leave that to whoever asked.
     let (width, height) = view.size();
     let channels = settings.background.channels();
-    let mut pixels = vec![0; width as usize * height as usize * channels];
+    let image_size = [width, height].map(|side| side as usize);
     let parts: Vec<_> =
         parts.iter().zip(&images).map(|(factorization, image)| warp::Part { factorization, image }).collect();
-    warp::warp(&parts, &settings.background, width as usize, &mut pixels, cancel)?;
+    let unwarped = match (settings.stage, &parts[..]) {
+        (Stage::Intermediate, [part]) => warp::unwarped(part, &settings.background, image_size),
+        _ => None,
+    };
+    let image = match unwarped {
+        Some(image) => image,
+        None => {
+            let mut pixels = vec![0; image_size[0] * image_size[1] * channels];
+            warp::warp(&parts, &settings.background, image_size[0], &mut pixels, cancel)?;
+            Image { width, height, channels: channels as u8, pixels, warp: None }
+        }
+    };
 
     timings.render = start.elapsed();
     timings.composite = composited - timings.shade - timings.preintegration_table;
     timings.warp = timings.render - composited;
-    Ok((Image { width, height, channels: channels as u8, pixels }, timings))
+    Ok((image, timings))
 }
 
 /// The intermediate image of a part of the view.

@@ -21,14 +21,14 @@ mod lanes;
 
 use std::ops::Range;
 
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use self::lanes::{FRACTION_BITS, LANES, Lanes, Portable, Rgb, Rgba};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::simd::{self, Kernel};
-use super::{Background, Cancel, RenderError};
+use super::{Background, Cancel, Image, RenderError};
 
 /// Fractional bits of a position that is stepped along a row: over 2^15 pixels it errs by less than
 /// 2^-16 pixels.
@@ -70,6 +70,62 @@ pub fn warp(
         simd::dispatch(Band { parts, background, width, first: band * BAND_HEIGHT, rows });
         Ok(())
     })
+}
+
+/// What is left to be done to an intermediate image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Warp {
+    /// Homogeneous pixel coordinates; the centre of an image's first pixel is at (0.5, 0.5). Beyond the centres of the
+    /// intermediate image's outermost pixels there is only background.
+    pub image_from_intermediate: DMat3,
+}
+
+/// An intermediate image, as far as a final one of `size` pixels shows more than background of it. `None` where that is nothing, or
+/// an image with more pixels or a longer side than the final one.
+pub fn unwarped(part: &Part<'_>, background: &Background, size: [usize; 2]) -> Option<Image> {
+    let [us, vs] = part.seen(size);
+    let (width, height) = (us.len(), vs.len());
+    if us.is_empty() || vs.is_empty() || width * height > size[0] * size[1] || width.max(height) > size[0].max(size[1])
+    {
+        return None;
+    }
+    let channels = background.channels();
+    let mut pixels = vec![0; width * height * channels];
+    pixels.par_chunks_exact_mut(width * channels).zip(vs.clone()).for_each(|(out, v)| {
+        part.image.write(v, us.clone(), background, out);
+    });
+    let corner = DVec2::new(us.start as f64, vs.start as f64);
+    let sheared_from_intermediate = DMat3::from_translation(corner - 0.5);
+    let image_from_intermediate = part.factorization.sheared_from_image.inverse() * sheared_from_intermediate;
+    let warp = Some(Warp { image_from_intermediate });
+    Some(Image { width: width as u32, height: height as u32, channels: channels as u8, pixels, warp })
+}
+
+impl Part<'_> {
+    /// The pixels along u and v that a final image of `size` pixels reads and that show more than background, and one more around
+    /// these, where there is one.
+    fn seen(&self, [width, height]: [usize; 2]) -> [Range<usize>; 2] {
+        let [mut low, mut high] = self.factorization.extent;
+        if self.factorization.is_parallel() {
+            let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)].map(|(x, y)| {
+                let corner = DVec3::new(x * width as f64, y * height as f64, 1.0);
+                (self.factorization.sheared_from_image * corner).truncate()
+            });
+            low = low.max(corners.into_iter().fold(DVec2::INFINITY, DVec2::min));
+            high = high.min(corners.into_iter().fold(DVec2::NEG_INFINITY, DVec2::max));
+        }
+        if low.x > high.x || low.y > high.y {
+            return [0..0, 0..0];
+        }
+        let read = |axis: usize| low[axis] as usize..(high[axis] as usize + 2).min(self.image.size()[axis]);
+        let (us, vs) = (read(0), read(1));
+        let shows = |v: &usize| !self.image.drawn(*v, *v).is_empty();
+        let (Some(first), Some(last)) = (vs.clone().find(shows), vs.clone().rfind(shows)) else { return [0..0, 0..0] };
+        let wider = |drawn: Range<usize>, read: Range<usize>| {
+            drawn.start.saturating_sub(1).max(read.start)..(drawn.end + 1).min(read.end)
+        };
+        [wider(self.image.drawn(first, last), us), wider(first..last + 1, vs)]
+    }
 }
 
 /// Rows of the final image from `first` on.

@@ -21,8 +21,9 @@ use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
 use crate::classify::labels::Labels;
 use crate::encode::{Format, encode};
-use crate::render::{self, Background, Image, Scene, Timings};
+use crate::render::{self, Background, Image, Scene, Stage, Timings};
 
+const IMAGE_WARP: HeaderName = HeaderName::from_static("x-image-warp");
 const ALGORITHM: HeaderName = HeaderName::from_static("x-render-algorithm");
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 
@@ -136,6 +137,8 @@ pub(super) struct Asked {
 pub(super) struct Made {
     /// Width, height, channels.
     pub size: [u32; 3],
+    /// Row by row, where it is an intermediate image.
+    pub warp: Option<[f64; 9]>,
     pub bytes: Vec<u8>,
     queue: Duration,
     prepare: Duration,
@@ -181,6 +184,7 @@ impl Asked {
             made_from += &format!(" {:032x}", xxh3_128(&picture.pixels));
             // Its pixels are the background.
             self.frame.look.settings.background = Background::Transparent;
+            self.frame.look.settings.stage = Stage::Final;
             self.picture = Some(Arc::new(picture));
         }
         self.etag = format!("\"{:032x}\"", xxh3_128(made_from.as_bytes()));
@@ -270,11 +274,12 @@ impl Asked {
                 tracing::error!(%error, "a frame could not be encoded");
                 Problem::Internal("the frame could not be encoded")
             })?;
-            Ok::<_, Problem>((image_size(&image), bytes, stages, start.elapsed()))
+            let warp = image.warp.map(|warp| warp.image_from_intermediate.transpose().to_cols_array());
+            Ok::<_, Problem>((image_size(&image), warp, bytes, stages, start.elapsed()))
         };
         let (outcome, queue) = ticket.run(job).await?;
-        let (size, bytes, stages, encode) = outcome?;
-        Ok(Made { size, bytes, queue, prepare, stages, encode })
+        let (size, warp, bytes, stages, encode) = outcome?;
+        Ok(Made { size, warp, bytes, queue, prepare, stages, encode })
     }
 
     fn answer(&self, made: Made) -> Response {
@@ -288,6 +293,9 @@ impl Asked {
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(self.format.media_type()));
         headers.insert(SERVER_TIMING, ascii(&timing.join(", ")));
         headers.insert(ALGORITHM, HeaderValue::from_static(algorithm));
+        if let Some(warp) = made.warp {
+            headers.insert(IMAGE_WARP, ascii(&warp.map(|element| element.to_string()).join(", ")));
+        }
         if self.format == Format::Raw {
             RAW_HEADERS.into_iter().zip(made.size).for_each(|(name, value)| drop(headers.insert(name, value.into())));
         }

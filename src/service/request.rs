@@ -21,7 +21,7 @@ pub use crate::classify::InvalidField;
 use crate::classify::{Color, TransferFunction};
 use crate::encode::Format;
 use crate::render::{
-    Background, Camera, Clip, DepthCueing, IntensityProjection, Preintegration, Quality, Sampling, Shading,
+    Background, Camera, Clip, DepthCueing, IntensityProjection, Preintegration, Quality, Sampling, Shading, Stage,
 };
 use fields::WindowFields;
 pub use options::{Kind, OPTIONS, RequestOption};
@@ -92,6 +92,7 @@ pub struct RenderRequest {
     height: u32,
     format: Option<Format>,
     background: Background,
+    stage: Stage,
     transfer: Transfer,
     shading: ShadingChoice,
     algorithm: AlgorithmChoice,
@@ -203,6 +204,19 @@ impl RenderRequest {
     /// The format that the request names.
     pub fn format(&self) -> Option<Format> {
         self.format
+    }
+
+    /// Refuses intermediate images, for what keeps no warps beside them.
+    ///
+    /// # Errors
+    /// [`RequestError::Refused`].
+    pub fn is_final(&self) -> Result<(), RequestError> {
+        match self.stage {
+            Stage::Final => Ok(()),
+            Stage::Intermediate => {
+                Err(RequestError::refused("/image/stage", "expected final: there is no room for a warp"))
+            }
+        }
     }
 
     /// View and projection matrix of the camera, where it is told by them.

@@ -157,7 +157,7 @@ impl Part {
         let channels = color.samples();
         let rgb = |pixel: &[u8]| if channels < 3 { [pixel[0]; 3] } else { [pixel[0], pixel[1], pixel[2]] };
         let pixels = bytes.chunks_exact(channels).flat_map(rgb).collect();
-        Ok(Image { width: size.0, height: size.1, channels: 3, pixels })
+        Ok(Image { width: size.0, height: size.1, channels: 3, pixels, warp: None })
     }
 
     fn decode(

@@ -140,6 +140,9 @@ struct Header {
     width: u32,
     height: u32,
     channels: u32,
+    /// As in X-Image-Warp.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    warp: Option<[f64; 9]>,
     algorithm: &'static str,
     /// Milliseconds by stage, as in Server-Timing.
     timing: Map<String, Value>,
@@ -397,6 +400,7 @@ fn frame(sequence: u64, step: &Step, asked: &Asked, made: &Made) -> Message {
         width,
         height,
         channels,
+        warp: made.warp,
         algorithm: asked.algorithm(),
         timing: timing.map(|(stage, took)| (stage.to_owned(), milliseconds(took).into())).collect(),
     };

@@ -105,6 +105,7 @@ pub async fn from_body(
         }
         (_, format) => format.unwrap_or(Format::Png),
     };
+    request.is_final()?;
     let table = Turntable { app, id, volume, request, format, turn };
     // What one frame is refused for, all are.
     table.frame(0)?;
@@ -239,7 +240,8 @@ impl Packing {
                         animation.insert(begun.map_err(io::Error::other)?)
                     }
                 };
-                animation.push(&Image { width, height, channels, pixels: made.bytes }).map_err(io::Error::other)?;
+                let image = Image { width, height, channels, pixels: made.bytes, warp: None };
+                animation.push(&image).map_err(io::Error::other)?;
             }
             Writer::Zip(zip) => {
                 // Pictures are compressed already.

@@ -231,7 +231,12 @@ fn wrong_usage_ends_with_2_and_one_line() {
     let folder = folder();
     let volume = path(&folder, "ball.raw");
     let out = path(&folder, "out.png");
-    let [broken, odd] = [("broken.json", "{"), ("odd.json", r#"{"camera": {"zoom": 0}}"#)].map(|(name, text)| {
+    let [broken, odd, unwarped] = [
+        ("broken.json", "{"),
+        ("odd.json", r#"{"camera": {"zoom": 0}}"#),
+        ("unwarped.json", r#"{"image": {"stage": "intermediate"}}"#),
+    ]
+    .map(|(name, text)| {
         fs::write(folder.path().join(name), text).unwrap();
         path(&folder, name)
     });
@@ -245,6 +250,7 @@ fn wrong_usage_ends_with_2_and_one_line() {
     assert!(render(&["--preset", "no-such"]).contains("gray-ramp"));
     assert!(render(&["--request", &broken]).contains("JSON"));
     assert!(render(&["--request", &odd]).contains("/camera/zoom"));
+    assert!(render(&["--request", &unwarped]).contains("/image/stage"));
     assert!(render(&["--request", "missing.json"]).contains("missing.json"));
     assert!(render(&["--background", "transparent", "--format", "jpeg"]).contains("transparency"));
     assert!(!Path::new(&out).exists(), "a refused request writes nothing");

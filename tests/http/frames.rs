@@ -2,7 +2,7 @@
 
 use reqwest::Method;
 
-use crate::service::{Running, header};
+use crate::service::{Running, header, problem};
 
 const PNG: &str = "/v1/volumes/ball/frame.png?width=40&height=30&azimuth=20";
 
@@ -71,6 +71,39 @@ async fn a_region_looks_otherwise_and_what_is_cut_out_is_gone() {
     assert!(r > 200 && r == g && g == b && a == 255);
     let gone = frame(&format!(r#", "clip": [{sphere}, "keep": "outside"}}], "regions": [{sphere}}}]"#)).await;
     assert!(gone.chunks(4).all(|pixel| pixel[3] == 0));
+}
+
+/// The ball of radius 8 in the middle of 24 mm: its centre is where the camera looks.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_intermediate_image_comes_with_its_warp_and_without_what_is_empty() {
+    let service = Running::start("").await;
+    let ask = async |fields: &str, stage: &str| {
+        let body = format!(
+            r#"{{"image": {{"width": 60, "height": 40, "format": "raw", "stage": "{stage}"}}, "shading": false{fields}}}"#
+        );
+        service.post("/v1/volumes/ball/frame", &body).await
+    };
+    for fields in ["", r#", "camera": {"azimuth": 20, "roll": 30}"#, r#", "camera": {"projection": "perspective"}"#] {
+        let (frame, image) = (ask(fields, "final").await, ask(fields, "intermediate").await);
+        assert_ne!(header(&frame, "etag"), header(&image, "etag"));
+        assert!(!frame.headers().contains_key("x-image-warp"));
+        let warp: Vec<f64> = header(&image, "x-image-warp").split(", ").map(|n| n.parse().unwrap()).collect();
+        let [width, height] = ["x-image-width", "x-image-height"].map(|name| header(&image, name).parse().unwrap());
+        let (frame, image) = (frame.bytes().await.unwrap(), image.bytes().await.unwrap());
+        assert!((10..40).contains(&width) && (10..40).contains(&height), "{width} x {height}");
+        assert_eq!(image.len(), width * height * 3);
+        // What is drawn is around the middle of either image.
+        let row = |row: usize, u: f64, v: f64| warp[3 * row] * u + warp[3 * row + 1] * v + warp[3 * row + 2];
+        let (u, v) = (width as f64 / 2.0, height as f64 / 2.0);
+        let [x, y] = [0, 1].map(|axis| row(axis, u, v) / row(2, u, v));
+        assert!((x - 30.0).abs() < 1.5 && (y - 20.0).abs() < 1.5, "{x}, {y} by {warp:?}");
+        let middle = image[3 * (height / 2 * width + width / 2)];
+        assert!(middle > 20 && middle.abs_diff(frame[3 * (20 * 60 + 30)]) < 9, "{middle}");
+    }
+    let high = ask(r#", "quality": "high""#, "intermediate").await;
+    assert_eq!((header(&high, "x-image-width"), high.headers().get("x-image-warp")), ("60", None));
+    let wrong = service.post("/v1/volumes/ball/frame", r#"{"image": {"stage": "sheared"}}"#).await;
+    assert_eq!(problem(wrong).await["errors"][0]["pointer"], "/image/stage");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -116,6 +116,17 @@ async fn the_volume_is_blended_over_the_scenes_picture() {
         assert!((f64::from(blended[channel]) - expected).abs() <= 1.0, "{alone:?} {blended:?}");
     }
     assert_eq!(blended.len(), 3);
+
+    // What is behind the picture's pixels is not to be warped: an intermediate image there is only of the volume alone.
+    let mut unwarped = request.clone();
+    unwarped["image"]["stage"] = "intermediate".into();
+    unwarped["quality"] = "standard".into();
+    for (color, expected) in [(false, true), (true, false)] {
+        let mut parts = parts(color);
+        parts[0].2 = unwarped.to_string().into_bytes();
+        let response = post(&service, &parts).await;
+        assert_eq!((response.status().as_u16(), response.headers().contains_key("x-image-warp")), (200, expected));
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -102,6 +102,30 @@ async fn a_view_comes_as_a_draft_and_is_refined_into_the_frames_of_the_route() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn frames_come_with_their_warps_to_whoever_warps_them_himself() {
+    let service = Running::start("").await;
+    let mut client = Client::open(&service).await;
+    let mut request = small(20.0);
+    request["image"]["stage"] = "intermediate".into();
+    client.send(json!({"request": request})).await;
+    for quality in ["draft", "standard", "high"] {
+        let (header, bytes) = client.frame().await;
+        request["quality"] = quality.into();
+        let frame = service.post("/v1/volumes/ball/frame", &request.to_string()).await;
+        let told = frame.headers().get("x-image-warp").map(|warp| format!("[{}]", warp.to_str().unwrap()));
+        assert_eq!(told.is_some(), quality != "high");
+        let warp = told.map(|warp| serde_json::from_str::<Value>(&warp).unwrap());
+        assert_eq!(header.get("warp").map(numbers), warp.as_ref().map(numbers), "{quality}");
+        assert_eq!(header["width"] == 40, warp.is_none(), "{header}");
+        assert!(bytes == frame.bytes().await.unwrap(), "{quality} is another picture");
+    }
+}
+
+fn numbers(list: &Value) -> Vec<f64> {
+    list.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_patch_changes_what_it_names_and_takes_away_what_is_null() {
     let service = Running::start("").await;
     let mut client = Client::open(&service).await;

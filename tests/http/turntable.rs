@@ -101,6 +101,7 @@ async fn what_cannot_be_turned_is_refused_and_a_client_that_leaves_ends_the_work
             "/camera/look_at",
         ),
         ("", r#"{"image": {"width": 100000}}"#, "/image/width"),
+        ("", r#"{"image": {"stage": "intermediate"}}"#, "/image/stage"),
     ] {
         let response = service.post(&format!("{TURNTABLE}{path}"), body).await;
         assert_eq!(problem(response).await["errors"][0]["pointer"], pointer);

@@ -17,3 +17,4 @@ mod regions;
 mod scenes;
 mod shear_image;
 mod slabs;
+mod unwarped;

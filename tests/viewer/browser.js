@@ -46,13 +46,46 @@ export async function picture(page) {
     await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
     const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext('2d'));
     const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+    // What is in sight is the canvas where its style puts it.
+    const { transform } = canvas.style;
     let [hash, shown] = [2166136261, 0];
     for (let i = 0; i < data.length; i += 4) {
       for (let c = 0; c < 4; c++) hash = Math.imul(hash ^ data[i + c], 16777619);
       if (data[i] + data[i + 1] + data[i + 2] > 30) shown++;
     }
-    return { hash: `${canvas.width}x${canvas.height} ${(hash >>> 0).toString(16)}`, shown: shown / (data.length / 4) };
+    return { hash: `${canvas.width}x${canvas.height} ${(hash >>> 0).toString(16)} ${transform}`, shown: shown / (data.length / 4) };
   });
+}
+
+/** What a person sees of the picture, without what lies on it. @param {Page} page @returns {Promise<Buffer>} a PNG */
+export async function seen(page) {
+  const hidden = (/** @type {boolean} */ yes) => page.evaluate((hide) => {
+    for (const over of document.querySelectorAll('#overlay, #tools, #messages')) over.toggleAttribute('hidden', hide);
+  }, yes);
+  await hidden(true);
+  const png = await page.locator('#view').screenshot();
+  await hidden(false);
+  return png;
+}
+
+/** How far two pictures of one size are apart: the mean over all components and the greatest difference, of 255. @param {Page} page @param {Buffer[]} pngs @returns {Promise<{mean: number, most: number}>} */
+export async function apart(page, ...pngs) {
+  return page.evaluate(async (encoded) => {
+    const [a, b] = await Promise.all(encoded.map(async (base64) => {
+      const bytes = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+      const bitmap = await createImageBitmap(new Blob([bytes]));
+      const context = /** @type {OffscreenCanvasRenderingContext2D} */ (new OffscreenCanvas(bitmap.width, bitmap.height).getContext('2d'));
+      context.drawImage(bitmap, 0, 0);
+      return context.getImageData(0, 0, bitmap.width, bitmap.height).data;
+    }));
+    if (a.length !== b.length) throw new Error(`${a.length} and ${b.length} components`);
+    let [sum, most] = [0, 0];
+    a.forEach((value, i) => {
+      sum += Math.abs(value - b[i]);
+      most = Math.max(most, Math.abs(value - b[i]));
+    });
+    return { mean: sum / a.length, most };
+  }, pngs.map((png) => png.toString('base64')));
 }
 
 /** Drags from one place of an element to another, as a hand does. @param {Page} page @param {string} selector @param {[number, number]} from parts of its sides @param {[number, number]} to */

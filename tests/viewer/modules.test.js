@@ -2,13 +2,14 @@
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
 import { readTimings } from '../../web/js/api.js';
-import { ANATOMICAL, angles, axes, between, boundingSphere, carried, extent, orbited, panned, spun, swivelled, zoomed } from '../../web/js/camera.js';
+import { ANATOMICAL, angles, axes, between, boundingSphere, extent, orbited, panned, spun, swivelled, zoomed } from '../../web/js/camera.js';
 import { fromHash, toHash } from '../../web/js/link.js';
 import { looksFor } from '../../web/js/looks.js';
 import { curlCommand, renderRequest, tidy } from '../../web/js/request.js';
 import { DEFAULTS, DEFAULT_CAMERA, DEFAULT_SHADING } from '../../web/js/state.js';
 import { heightOf, opacityOf, sampled, short, ticks, windowOf, windowed, withChanged, withPoint } from '../../web/js/transfer.js';
-import { add, dot, scale } from '../../web/js/vector.js';
+import { add, dot, scale, subtract } from '../../web/js/vector.js';
+import { carried, matrix3d, placed } from '../../web/js/warp.js';
 
 /** @typedef {import('../../web/js/state.js').Camera} Camera */
 /** @typedef {import('../../web/js/state.js').State} State */
@@ -67,18 +68,59 @@ test('a zoom keeps the point under the pointer where it is', () => {
   near(projected({ ...camera, ...zoomed(camera, SPHERE, 1.7, [0.4, -0.3]) }, point), [0.4, 0.3, 0], 'zoom');
 });
 
+/** @param {number[]} h @param {number[]} point @returns {Vector} */
+const through = ([a, b, c, d, e, f, g, h, i], [x, y]) => [(a * x + b * y + c) / (g * x + h * y + i), (d * x + e * y + f) / (g * x + h * y + i), 0];
+
+/** Where a camera sees a point, as `carried` counts. @param {Camera} camera @param {Vector} point @returns {Vector} */
+function seen(camera, point) {
+  const [x, y] = projected(camera, point);
+  const { back } = axes(camera);
+  const distance = SPHERE.radius / Math.sin((camera.fov_y * Math.PI) / 360);
+  const depth = dot(back, subtract(point, camera.target ?? SPHERE.centre));
+  const nearer = camera.projection === 'parallel' ? 1 : distance / (distance - depth);
+  return [x * nearer, y * nearer, 0];
+}
+
 test('a frame is carried to where its scan now is', () => {
   const from = { ...DEFAULT_CAMERA, azimuth: 20, elevation: -10 };
   const panned_ = { ...from, ...panned(from, SPHERE, 0.3, -0.2) };
   const rolled = { ...panned_, ...spun(panned_, [0, 0, 1], 0.4) };
   const to = { ...rolled, ...zoomed(rolled, SPHERE, 1.5, [0.1, 0.2]) };
-  const [a, b, c, d, e, f] = carried(from, to, SPHERE);
   // In parallel projection pans, rolls and zooms are exact at any depth.
   for (const depth of [-40, 0, 70]) {
     const point = add(add(SPHERE.centre, scale(axes(from).back, depth)), scale(axes(from).right, 25));
-    const [x, y] = projected(from, point);
-    near([a * x + c * y + e, b * x + d * y + f, 0], projected(to, point), `depth ${depth}`);
+    near(through(carried(from, to, SPHERE), projected(from, point)), projected(to, point), `depth ${depth}`);
   }
+});
+
+test('points of the plane that a camera faced go where another one sees them', () => {
+  const from = /** @type {Camera} */ ({ ...DEFAULT_CAMERA, azimuth: 20, elevation: -10, target: [12, -3, 40], fov_y: 50 });
+  const { right, up } = axes(from);
+  for (const projection of /** @type {const} */ (['parallel', 'perspective'])) {
+    const old = { ...from, projection };
+    const turned = { ...old, azimuth: 55, elevation: 30, roll: 12, zoom: 2, target: /** @type {Vector} */ ([5, 5, 5]) };
+    for (const to of [old, { ...old }, turned, /** @type {Camera} */ ({ ...turned, projection: 'perspective', fov_y: 80 })]) {
+      for (const [across, upwards] of [[0, 0], [30, -10], [-22, 41]]) {
+        const point = add(from.target ?? SPHERE.centre, add(scale(right, across), scale(up, upwards)));
+        near(through(carried(old, to, SPHERE), seen(old, point)), seen(to, point), `${projection} to ${JSON.stringify(to)}`);
+      }
+    }
+  }
+});
+
+test('a frame lies on the view as its size, its warp and the camera say', () => {
+  const [camera, size] = [DEFAULT_CAMERA, { width: 400, height: 300 }];
+  const frame = { size, state: { camera } };
+  const at = (/** @type {Camera} */ now, /** @type {number[]} */ point, view = size, warp = /** @type {number[] | undefined} */ (undefined)) =>
+    through(placed({ ...frame, warp }, now, SPHERE, view), point);
+  near(at(camera, [10, 20]), [10, 20, 0], 'as it is');
+  // 0.5 of half the shorter side is 75 pixels.
+  near(at({ ...camera, ...panned(camera, SPHERE, 0.5, 0.1) }, [10, 20]), [85, 5, 0], 'moved');
+  near(at({ ...camera, zoom: 2 * camera.zoom }, [210, 130]), [220, 110, 0], 'enlarged about the middle');
+  near(at(camera, [10, 20], { width: 800, height: 600 }), [20, 40, 0], 'on a finer screen');
+  near(at(camera, [10, 20], { width: 500, height: 300 }), [60, 20, 0], 'on a wider one');
+  near(at(camera, [10, 20], size, [2, 0, 7, 0, 3, 9, 0, 0, 1]), [27, 69, 0], 'unwarped');
+  assert.equal(matrix3d([1, 2, 3, 4, 5, 6, 7, 8, 9]), 'matrix3d(1,4,0,7,2,5,0,8,0,0,1,0,3,6,0,9)');
 });
 
 test('a turn to another view starts here and ends there', () => {

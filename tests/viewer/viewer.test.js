@@ -625,8 +625,8 @@ test('a picture is saved at the size that was asked for, and as the command says
   await page.getByText('Command copied.').waitFor();
   const command = await page.evaluate(() => navigator.clipboard.readText());
   await promisify(execFile)('sh', ['-c', command.replace(/^curl/, 'curl -sf')], { cwd: folder });
-  const shown = await page.evaluate(() => [...document.querySelectorAll('canvas')].map(({ width, height }) => [width, height])[0]);
-  assert.deepEqual(size(join(folder, 'frame.png')), shown);
+  const shown = await page.locator('#view').boundingBox();
+  assert.deepEqual(size(join(folder, 'frame.png')), [shown?.width, shown?.height]);
   await page.getByRole('tab', { name: 'View' }).click();
   await page.getByRole('radio', { name: 'High' }).check();
   await page.getByRole('button', { name: 'Copy as a curl command' }).click();

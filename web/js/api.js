@@ -26,7 +26,7 @@ import { framePath } from './request.js';
 /** @typedef {{name: string, title: string, description: string, modality: string[], values: 'file' | 'range', shading: boolean, transfer_function: import('./state.js').TransferFunction}} Preset */
 /** @typedef {{bins: number, min: number, max: number, counts: number[]}} Histogram */
 /** @typedef {{preset: string, shading: boolean, transfer_function: import('./state.js').TransferFunction}} Fitted */
-/** @typedef {{blob: Blob, stages: Record<string, number>, algorithm: string, downloaded: number, drawn?: () => void}} FrameAnswer `drawn` tells the service that there is room for another */
+/** @typedef {{blob: Blob, stages: Record<string, number>, algorithm: string, warp?: number[], downloaded: number, drawn?: () => void}} FrameAnswer `warp`: of an intermediate image (warp.js); `drawn` tells the service that there is room for another */
 /** @typedef {'busy' | 'loading' | 'gone' | 'refused' | 'missing' | 'failed'} Kind */
 
 /** Why there is no answer, and in which way that may change. */
@@ -113,7 +113,8 @@ export async function frame(id, request, signal) {
   const blob = await body(response, signal);
   const stages = readTimings(response.headers.get('Server-Timing') ?? '');
   const algorithm = response.headers.get('X-Render-Algorithm') ?? '';
-  return { blob, stages, algorithm, downloaded: performance.now() - arrived };
+  const warp = response.headers.get('X-Image-Warp')?.split(',').map(Number);
+  return { blob, stages, algorithm, warp, downloaded: performance.now() - arrived };
 }
 
 /** A small still frame, to the side of what is being looked at. @param {string} id @param {Record<string, string>} query @param {AbortSignal} signal */

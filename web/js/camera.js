@@ -1,5 +1,5 @@
 /**
- * @file The camera: how gestures turn, move and enlarge it, and how one view's picture lies in another's.
+ * @file The camera: how gestures turn, move and enlarge it.
  *
  * The state keeps the service's orbit (azimuth, elevation, roll), because that is what links, requests
  * and people say. Turning happens on the camera's axes and is read back into angles: every
@@ -11,7 +11,6 @@ import { add, cross, dot, length, normalized, scale, subtract, turned } from './
 /** @import {Camera} from './state.js' */
 /** @typedef {{right: Vector, up: Vector, back: Vector}} Axes `back` points from the target to the camera */
 /** @typedef {{centre: Vector, radius: number}} Sphere the scan's bounding sphere, mm */
-/** @typedef {[number, number, number, number, number, number]} Affine as `CanvasRenderingContext2D.setTransform` takes it */
 
 const DEGREES = 180 / Math.PI;
 
@@ -128,24 +127,6 @@ export function between(from, to, part) {
   const axis = length(twice) > 1e-6 ? normalized(twice) : a.up;
   const turn = (/** @type {Vector} */ v) => turned(v, axis, angle * part);
   return angles({ right: turn(a.right), up: turn(a.up), back: turn(a.back) });
-}
-
-/**
- * Where the picture of camera `from` lies in that of camera `to`, both centred, in units of half the shorter
- * side, y down: exact for pans, zooms and rolls, and for a turn what the target's plane does. The last
- * frame moves by it until the next is there.
- * @param {Camera} from @param {Camera} to @param {Sphere} sphere @returns {Affine}
- */
-export function carried(from, to, sphere) {
-  const [a, b] = [axes(from), axes(to)];
-  const factor = extent(from, sphere) / extent(to, sphere);
-  const shift = subtract(from.target ?? sphere.centre, to.target ?? sphere.centre);
-  const mm = extent(to, sphere) / 2;
-  return [
-    dot(b.right, a.right) * factor, -dot(b.up, a.right) * factor,
-    -dot(b.right, a.up) * factor, dot(b.up, a.up) * factor,
-    dot(b.right, shift) / mm, -dot(b.up, shift) / mm,
-  ];
 }
 
 /**

@@ -6,7 +6,7 @@
  */
 import { el } from './dom.js';
 
-/** @template T @typedef {{element: HTMLElement, show: (value: T) => void, enable: (enabled: boolean) => void}} Control */
+/** @template T @typedef {{element: HTMLElement, show: (value: T) => void}} Control */
 /** @template {string} T @typedef {{value: T, label: string, hint?: string}} Option */
 
 let count = 0;
@@ -41,7 +41,7 @@ export function slider(label, { min, max, step = (max - min) / 200, position = (
     describe(now);
   };
   const element = el('div', { class: 'field slider' }, el('label', { for: id }, label), output, input);
-  return { element, show, enable: enabler(element, [input]) };
+  return { element, show };
 }
 
 /**
@@ -61,7 +61,7 @@ export function numberField(label, { min, max, step = 'any', unit, change }) {
     // Not while a person types into it.
     if (document.activeElement !== input || !input.matches(':focus-visible') || Number(input.value) !== value) input.value = String(Number(value.toPrecision(6)));
   };
-  return { element, show, enable: enabler(element, [input]) };
+  return { element, show };
 }
 
 /** @param {string} label @param {(on: boolean) => void} change @param {string} [hint] @returns {Control<boolean>} */
@@ -69,7 +69,7 @@ export function toggle(label, change, hint) {
   const input = el('input', { type: 'checkbox', role: 'switch', onchange: () => change(input.checked) });
   const words = el('span', {}, label, ...(hint ? [el('small', {}, hint)] : []));
   const element = el('label', { class: 'field switch' }, words, input);
-  return { element, show: (on) => void (input.checked = on), enable: enabler(element, [input]) };
+  return { element, show: (on) => void (input.checked = on) };
 }
 
 /**
@@ -90,7 +90,6 @@ export function choice(label, options, change) {
       const input = at(value);
       if (input) input.checked = true;
     },
-    enable: enabler(element, inputs),
     enableOption: (value, enabled) => void (at(value).disabled = !enabled),
   };
 }
@@ -106,14 +105,8 @@ export function select(label, options, change) {
   const onchange = () => change(/** @type {T} */ (input.value));
   const input = el('select', { id, onchange }, ...options.map(({ value, label: text }) => el('option', { value }, text)));
   const element = el('div', { class: 'field select' }, el('label', { for: id }, label), input);
-  return { element, show: (value) => void (input.value = value), enable: enabler(element, [input]) };
+  return { element, show: (value) => void (input.value = value) };
 }
-
-/** @param {HTMLElement} element @param {(HTMLInputElement | HTMLSelectElement)[]} inputs */
-const enabler = (element, inputs) => (/** @type {boolean} */ enabled) => {
-  element.classList.toggle('disabled', !enabled);
-  for (const input of inputs) input.disabled = !enabled;
-};
 
 /** @param {string} title @param {(Node | string)[]} children */
 export const section = (title, ...children) => el('section', {}, el('h2', {}, title), ...children);

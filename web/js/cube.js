@@ -8,31 +8,23 @@ import { el, svg } from './dom.js';
 import { ANATOMICAL, axes } from './camera.js';
 import { dot } from './vector.js';
 
-/** @import {Vector} from './vector.js' */
 /** @typedef {keyof typeof ANATOMICAL} Name */
 
-/** Outward direction, and the directions in which a face's letter runs and stands. @type {[Name, Vector, Vector, Vector][]} */
-const FACES = [
-  ['A', [0, -1, 0], [1, 0, 0], [0, 0, 1]],
-  ['P', [0, 1, 0], [-1, 0, 0], [0, 0, 1]],
-  ['L', [1, 0, 0], [0, 1, 0], [0, 0, 1]],
-  ['R', [-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-  ['S', [0, 0, 1], [1, 0, 0], [0, 1, 0]],
-  ['I', [0, 0, -1], [1, 0, 0], [0, -1, 0]],
-];
+/** Each faces whoever looks from there: its letter runs to the right and stands up. */
+const FACES = /** @type {[Name, typeof ANATOMICAL.A][]} */ (Object.entries(ANATOMICAL)).map(([name, from]) => ({ name, title: from.name, ...axes({ ...from, roll: 0 }) }));
 const HALF = 21;
 
 export class Cube {
   /** @param {import('./state.js').Store} store @param {(name: Name) => void} lookFrom */
   constructor(store, lookFrom) {
     this.store = store;
-    this.faces = FACES.map(([name]) => svg('g', { class: `face face-${name}`, onclick: () => lookFrom(name) },
-      svg('title', {}, ANATOMICAL[name].name),
+    this.faces = FACES.map(({ name, title }) => svg('g', { class: `face face-${name}`, onclick: () => lookFrom(name) },
+      svg('title', {}, title),
       svg('rect', { x: -HALF, y: -HALF, width: 2 * HALF, height: 2 * HALF }),
       svg('text', { 'text-anchor': 'middle', y: 9 }, name)));
     const cube = svg('svg', { class: 'cube', viewBox: '-40 -40 80 80', width: 80, height: 80, 'aria-hidden': 'true' }, ...this.faces);
-    const buttons = Object.entries(ANATOMICAL).map(([name, { name: full }]) =>
-      el('button', { type: 'button', title: `${full} (${name})`, 'aria-label': `Look from ${full.toLowerCase()}`, onclick: () => lookFrom(/** @type {Name} */ (name)) }, name));
+    const buttons = FACES.map(({ name, title }) =>
+      el('button', { type: 'button', title: `${title} (${name})`, 'aria-label': `Look from ${title.toLowerCase()}`, onclick: () => lookFrom(name) }, name));
     this.element = el('div', { class: 'orientation' }, cube, el('div', { class: 'sides', role: 'group', 'aria-label': 'Anatomical views' }, ...buttons));
     store.subscribe((state, before) => state.camera !== before.camera && this.draw());
     this.draw();
@@ -40,7 +32,7 @@ export class Cube {
 
   draw() {
     const { right, up, back } = axes(this.store.state.camera);
-    FACES.forEach(([, out, along, upward], i) => {
+    FACES.forEach(({ back: out, right: along, up: upward }, i) => {
       const seen = dot(out, back);
       const face = this.faces[i];
       face.toggleAttribute('hidden', seen < 0.02);

@@ -2,7 +2,7 @@
 
 const SVG = 'http://www.w3.org/2000/svg';
 
-/** @typedef {Record<string, string | number | boolean | EventListener | ((event: any) => void) | undefined>} Attributes `on…` listen; `true` is an empty attribute, `false` none */
+/** @typedef {Record<string, string | number | boolean | ((event: any) => void) | undefined>} Attributes `on…` listen; `true` is an empty attribute, `false` none */
 /** @typedef {(Node | string)[]} Children */
 
 /**
@@ -45,11 +45,14 @@ export async function takeIcons() {
 }
 
 /** A symbol of icons.svg; its meaning must stand beside it or in its button's label. @param {string} name */
-export const icon = (name) => svg('svg', { class: 'icon', 'aria-hidden': 'true' }, svg('use', { href: `#icon-${name}` }));
+export const icon = (name) => svg('svg', { class: 'icon', viewBox: '0 0 24 24', 'aria-hidden': 'true' }, svg('use', { href: `#icon-${name}` }));
 
 /** @param {string} name @param {string} label @param {(event: any) => void} onclick @param {Attributes} [more] */
 export const iconButton = (name, label, onclick, more = {}) =>
   el('button', { type: 'button', class: 'icon-button', 'aria-label': label, title: label, onclick, ...more }, icon(name));
+
+/** Where arrow keys point to, y up. @type {Record<string, [number, number]>} */
+export const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 /** The element of index.html with this id. @param {string} id @returns {HTMLElement} */
 export function byId(id) {

@@ -14,8 +14,8 @@ import { Problem } from './api.js';
 
 /** @import {State} from './state.js' */
 /** @import {FrameAnswer} from './api.js' */
+/** @import {Size} from './request.js' */
 /** @typedef {'draft' | 'standard' | 'high'} Stage */
-/** @typedef {{width: number, height: number}} Size */
 /** @typedef {(state: State, size: Size, stage: Stage, signal: AbortSignal) => Promise<FrameAnswer | null>} Source `null`: passed over for a newer one */
 /** @typedef {FrameAnswer & {bitmap: ImageBitmap, state: State, size: Size, stage: Stage, latency: number}} Frame */
 /** @typedef {{version: number, stage: Stage, abort: AbortController, started: number}} Flight */

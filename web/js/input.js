@@ -5,6 +5,7 @@
  * chosen as the tool that a plain drag uses, and two fingers pan, enlarge and roll at once.
  */
 import { ANATOMICAL, orbited, panned, spun, swivelled, zoomed } from './camera.js';
+import { ARROWS } from './dom.js';
 import { DEFAULT_CAMERA } from './state.js';
 
 /** @typedef {'orbit' | 'pan' | 'zoom' | 'roll' | 'window'} Tool */
@@ -132,9 +133,7 @@ export class Input {
   /** @param {Sphere} sphere @param {KeyboardEvent} event @returns {Partial<import('./state.js').Camera> | null} */
   #keyed(sphere, { key, shiftKey }) {
     const { camera } = this.store.state;
-    /** @type {Record<string, Point>} */
-    const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-    const arrow = arrows[key];
+    const arrow = ARROWS[key];
     if (arrow && shiftKey) return panned(camera, sphere, arrow[0] * 0.05, arrow[1] * 0.05);
     if (arrow && this.upright) return swivelled(camera, (arrow[0] * STEP) / 90, (arrow[1] * STEP) / 90);
     if (arrow) return spun(camera, [-arrow[1], arrow[0], 0], (STEP * Math.PI) / 180);

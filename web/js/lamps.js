@@ -6,12 +6,12 @@
  */
 import { axes } from './camera.js';
 import { slider } from './controls.js';
-import { el, iconButton, svg } from './dom.js';
+import { ARROWS, el, iconButton, svg } from './dom.js';
 import { rounded } from './request.js';
 import { add, dot, normalized, scale } from './vector.js';
 
-/** @import {Lamp, Camera} from './state.js' */
-/** @typedef {import('./state.js').Shading['lights']} Lights */
+/** @import {Lamp, Camera, Shading} from './state.js' */
+/** @typedef {Shading['lights']} Lights */
 
 /** More lamps than these confuse more than they show. */
 const MOST = 4;
@@ -122,11 +122,9 @@ class LampRow {
 
   /** @param {KeyboardEvent} event */
   #key(event) {
-    /** @type {Record<string, [number, number]>} */
-    const arrows = { ArrowLeft: [-STEP, 0], ArrowRight: [STEP, 0], ArrowUp: [0, STEP], ArrowDown: [0, -STEP] };
-    const step = arrows[event.key];
-    if (!step) return;
+    const arrow = ARROWS[event.key];
+    if (!arrow) return;
     event.preventDefault();
-    this.#aim(this.#x + step[0], this.#y + step[1]);
+    this.#aim(this.#x + arrow[0] * STEP, this.#y + arrow[1] * STEP);
   }
 }

@@ -4,7 +4,7 @@ import { section, slider, toggle } from './controls.js';
 import { DEFAULT_SHADING } from './state.js';
 import { Lamps } from './lamps.js';
 
-/** @import {Shading} from './state.js' */
+/** @import {Shading, Store} from './state.js' */
 
 const COEFFICIENTS = /** @type {const} */ ([
   ['ambient', 'Ambient', 1], ['diffuse', 'Diffuse', 1.5], ['specular', 'Highlights', 1], ['shininess', 'Sharpness of highlights', 100],
@@ -14,7 +14,7 @@ const BACKGROUNDS = /** @type {const} */ ([
 ]);
 
 export class LightPanel {
-  /** @param {import('./state.js').Store} store @param {import('./look.js').Look} look */
+  /** @param {Store} store @param {import('./look.js').Look} look */
   constructor(store, look) {
     this.store = store;
     this.look = look;
@@ -61,14 +61,11 @@ export class LightPanel {
     const { store } = this;
     const now = () => store.state.depthCueing ?? { front: 1, density: 1 };
     const on = toggle('Fade with depth', (yes) => store.set({ depthCueing: yes ? now() : null }), 'What lies behind is darker');
-    const density = slider('Fading', {
-      min: 0, max: 4, step: 0.05, text: (value) => value.toFixed(2),
-      change: (value, moving) => store.set({ depthCueing: { ...now(), density: value } }, moving),
+    const part = (/** @type {string} */ label, /** @type {'density' | 'front'} */ name, /** @type {number} */ max) => slider(label, {
+      min: 0, max, step: 0.05, text: (value) => value.toFixed(2),
+      change: (value, moving) => store.set({ depthCueing: { ...now(), [name]: value } }, moving),
     });
-    const front = slider('Brightness in front', {
-      min: 0, max: 2, step: 0.05, text: (value) => value.toFixed(2),
-      change: (value, moving) => store.set({ depthCueing: { ...now(), front: value } }, moving),
-    });
+    const [density, front] = [part('Fading', 'density', 4), part('Brightness in front', 'front', 2)];
     const more = el('div', {}, density.element, front.element);
     return { element: el('div', {}, on.element, more), on, density, front, more };
   }

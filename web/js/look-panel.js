@@ -102,7 +102,7 @@ export class LookPanel {
     const distance = look.current?.opacity_distance;
     if (distance && (!this.#reference || transfer === null || typeof transfer === 'string')) this.#reference = distance;
     density.element.hidden = blend !== 'composite';
-    density.enable(distance !== undefined);
+    density.element.inert = distance === undefined;
     if (distance) density.show(this.#reference / distance);
     this.#showPoint();
   }

@@ -7,7 +7,7 @@
 import { fitted } from './api.js';
 import { short, windowOf, windowed } from './transfer.js';
 
-/** @import {State, TransferFunction} from './state.js' */
+/** @import {State, TransferFunction, Blend, Store, Window} from './state.js' */
 /** @import {ReadyVolume} from './api.js' */
 /** @typedef {Pick<State, 'transfer' | 'shading'>} Past */
 
@@ -24,7 +24,7 @@ export class Look {
   #asking = new AbortController();
   /** Told whether it is another look altogether and no edit. @type {((another: boolean) => void)[]} */ onChange = [];
 
-  /** @param {import('./state.js').Store} store @param {() => ReadyVolume | null} volume */
+  /** @param {Store} store @param {() => ReadyVolume | null} volume */
   constructor(store, volume) {
     this.store = store;
     this.volume = volume;
@@ -118,7 +118,7 @@ export class Look {
     this.commit();
   }
 
-  /** The values that the picture tells apart: the points', or a projection's. @returns {import('./state.js').Window | null} */
+  /** The values that the picture tells apart: the points', or a projection's. @returns {Window | null} */
   get window() {
     const range = this.volume()?.value_range;
     const { blend, window } = this.store.state;
@@ -130,7 +130,7 @@ export class Look {
 
   /**
    * What a projection begins with: the scan's range, which requests leave out. Averages are mostly air; they lie in its
-   * lowest quarter. @param {import('./state.js').Blend} blend @returns {import('./state.js').Window | null}
+   * lowest quarter. @param {Blend} blend @returns {Window | null}
    */
   firstWindow(blend) {
     const range = this.volume()?.value_range;
@@ -139,7 +139,7 @@ export class Look {
     return { center: short(range[0] + width / 2, width), width };
   }
 
-  /** @param {import('./state.js').Window} to @param {boolean} [moving] */
+  /** @param {Window} to @param {boolean} [moving] */
   setWindow(to, moving = false) {
     const from = this.window;
     if (!from || !(to.width > 0)) return;

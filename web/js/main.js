@@ -5,7 +5,7 @@ import { Problem, fitted, frame, histogram, listPresets, listVolumes } from './a
 import { ANATOMICAL, between, boundingSphere, described } from './camera.js';
 import { Cube } from './cube.js';
 import { CutPanel } from './cut-panel.js';
-import { byId, takeIcons } from './dom.js';
+import { byId, iconButton, takeIcons } from './dom.js';
 import { Frames } from './frames.js';
 import { Input } from './input.js';
 import { LightPanel } from './light-panel.js';
@@ -14,7 +14,7 @@ import { Look } from './look.js';
 import { LookPanel } from './look-panel.js';
 import { AUTOMATIC } from './looks.js';
 import { Messages } from './messages.js';
-import { tabs, themes, tools } from './page.js';
+import { tabs, themeButton, tools } from './page.js';
 import { PresetList } from './presets.js';
 import { renderRequest } from './request.js';
 import { ScanPanel } from './scan-panel.js';
@@ -51,8 +51,8 @@ const sphere = () => {
   return ready && boundingSphere(ready);
 };
 
-const view = new View(/** @type {HTMLCanvasElement} */ (byId('picture')), store, sphere);
-const stream = new Stream((state, size, stage, signal) => frame(state.volume, renderRequest(state, size, stage), signal));
+const view = new View(byId('view'), /** @type {HTMLCanvasElement} */ (byId('picture')), store, sphere);
+const stream = new Stream((state, size, stage, signal) => frame(state.volume, renderRequest(state, size, stage, true), signal));
 const frames = new Frames(() => store.state, () => view.size(), stream.source);
 const messages = new Messages(byId('messages'), byId('spoken'), () => (volumes.length ? frames.retry() : void load()));
 const thumbnails = new Thumbnails(() => frames.idle);
@@ -81,12 +81,14 @@ const openTab = tabs(byId('tabs'), byId('panels'), [
   { name: 'cut', label: 'Cut', content: cut.element },
   { name: 'view', label: 'View', content: new ViewPanel(store, input, look).element },
 ], () => thumbnails.wake());
-themes(byId('theme'));
 tools((tool) => (input.tool = tool));
-byId('copy-link').addEventListener('click', () => share.copyLink());
-byId('copy-curl').addEventListener('click', () => share.copyCurl());
-byId('save').addEventListener('click', () => share.savePicture());
-byId('help').addEventListener('click', () => share.help());
+byId('head').append(
+  iconButton('link', 'Copy a link to this view', () => share.copyLink(), { id: 'copy-link' }),
+  iconButton('terminal', 'Copy as a curl command', () => share.copyCurl()),
+  iconButton('save', 'Save a picture or a turntable', () => share.savePicture()),
+  themeButton(),
+  iconButton('help', 'Help', () => share.help()),
+);
 byId('scan-name').addEventListener('click', () => openTab('scan'));
 document.addEventListener('keydown', (event) => {
   if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== 'z' || event.target instanceof HTMLTextAreaElement) return;

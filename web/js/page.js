@@ -1,5 +1,7 @@
 /** @file What belongs to the page and not to a scan: its colours, its tabs, what a person prefers. */
-import { byId, el, icon } from './dom.js';
+import { byId, el, icon, iconButton } from './dom.js';
+
+/** @import {Tool} from './input.js' */
 
 /** @typedef {'auto' | 'light' | 'dark'} Theme */
 
@@ -8,6 +10,11 @@ const THEMES = [
   { name: 'auto', label: 'Colours as the system has them', icon: 'theme-auto' },
   { name: 'light', label: 'Light colours', icon: 'theme-light' },
   { name: 'dark', label: 'Dark colours', icon: 'theme-dark' },
+];
+
+/** @type {[Tool, string, string][]} */
+const TOOLS = [
+  ['orbit', 'Turn', ''], ['pan', 'Move', ' (Shift)'], ['zoom', 'Zoom', ' (wheel)'], ['roll', 'Roll', ' (Alt)'], ['window', 'Window and level', ' (right button)'],
 ];
 
 /** What was kept under a name; private windows keep nothing. @param {string} name */
@@ -28,8 +35,8 @@ export function keep(name, value) {
   }
 }
 
-/** A button that goes round the themes. @param {HTMLElement} button */
-export function themes(button) {
+/** A button that goes round the themes. */
+export function themeButton() {
   const show = (/** @type {number} */ index) => {
     const theme = THEMES[index];
     document.documentElement.dataset.theme = theme.name;
@@ -38,12 +45,13 @@ export function themes(button) {
     button.title = theme.label;
   };
   let index = Math.max(0, THEMES.findIndex(({ name }) => name === kept('theme')));
-  show(index);
-  button.addEventListener('click', () => {
+  const button = iconButton('', '', () => {
     index = (index + 1) % THEMES.length;
     keep('theme', THEMES[index].name);
     show(index);
   });
+  show(index);
+  return button;
 }
 
 /**
@@ -80,9 +88,9 @@ export function tabs(list, place, tabs, shown) {
 
 /**
  * What a plain drag on the picture does, for those who have no modifier keys at hand.
- * @param {(tool: import('./input.js').Tool) => void} choose
+ * @param {(tool: Tool) => void} choose
  */
 export function tools(choose) {
-  for (const input of byId('tools').querySelectorAll('input'))
-    input.addEventListener('change', () => choose(/** @type {import('./input.js').Tool} */ (input.value)));
+  byId('tools').append(...TOOLS.map(([tool, label, keys]) => el('label', { title: label + keys },
+    el('input', { type: 'radio', name: 'tool', checked: tool === 'orbit', onchange: () => choose(tool) }), icon(tool), el('span', { class: 'unseen' }, label))));
 }

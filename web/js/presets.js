@@ -4,7 +4,7 @@ import { writeTransfer } from './link.js';
 import { looksFor } from './looks.js';
 import { emptyImage } from './thumbnails.js';
 
-/** @import {Preset, ReadyVolume} from './api.js' */
+/** @import {Preset, ReadyVolume, Fitted} from './api.js' */
 /** @import {Offer} from './looks.js' */
 
 /** A look as its link says it. @param {Offer['transfer']} transfer */
@@ -34,7 +34,7 @@ export class PresetList {
     this.#presets = presets;
   }
 
-  /** @param {ReadyVolume} volume @param {import('./api.js').Fitted | null} automatic its own look, where that is none of the presets */
+  /** @param {ReadyVolume} volume @param {Fitted | null} automatic its own look, where that is none of the presets */
   setVolume(volume, automatic) {
     const { fitting, others } = looksFor(this.#presets, volume, automatic);
     this.#buttons = [];

@@ -42,15 +42,15 @@ function orbit(camera, size) {
 
 /**
  * The body of `POST /v1/volumes/{id}/frame`. Defaults are left out.
- * @param {State} state @param {Size} size @param {'draft' | 'standard' | 'high'} quality
+ * @param {State} state @param {Size} size @param {'draft' | 'standard' | 'high'} quality @param {boolean} [unwarped] for a page that warps pictures itself
  */
-export function renderRequest(state, size, quality) {
+export function renderRequest(state, size, quality, unwarped) {
   const { plane, box } = state;
   const projects = state.blend !== 'composite';
   const clip = [plane && { plane }, box && { box }].filter(Boolean);
   return {
     camera: orbit(state.camera, size),
-    image: { width: size.width, height: size.height, format: 'png', background: state.background },
+    image: { width: size.width, height: size.height, format: 'png', background: state.background, ...(unwarped ? { stage: 'intermediate' } : {}) },
     ...(state.transfer && !projects ? { transfer_function: state.transfer } : {}),
     ...(state.shading === null || projects ? {} : { shading: state.shading }),
     ...(projects ? { blend: state.blend, ...(state.window ? { window: state.window } : {}) } : {}),

@@ -62,24 +62,23 @@ export class Share {
   savePicture() {
     /** @type {Wanted} */
     const wanted = { ...this.size(), transparent: false, quality: this.#quality === 'high' ? 'high' : 'standard', what: 'picture', frames: 90, seconds: 6 };
-    const limits = { min: 1, max: 4096, step: /** @type {const} */ (1), unit: 'px' };
-    const what = choice('What', /** @type {import('./controls.js').Option<Wanted['what']>[]} */ ([
+    const what = choice('What', [
       { value: 'picture', label: 'Picture', hint: 'As it is seen' },
       { value: 'turntable', label: 'Turntable', hint: 'Once about the vertical axis, as an animated PNG' },
-    ]), (value) => {
+    ], (value) => {
       wanted.what = value;
       turn.hidden = value === 'picture';
     });
     what.show(wanted.what);
-    const width = numberField('Width', { ...limits, change: (value) => (wanted.width = value) });
-    const height = numberField('Height', { ...limits, change: (value) => (wanted.height = value) });
-    width.show(wanted.width);
-    height.show(wanted.height);
-    const frames = numberField('Frames', { min: 2, max: 720, step: 1, change: (value) => (wanted.frames = value) });
-    const seconds = numberField('Duration', { min: 0.1, max: 60, unit: 's', change: (value) => (wanted.seconds = value) });
-    frames.show(wanted.frames);
-    seconds.show(wanted.seconds);
-    const turn = el('div', { class: 'pair', hidden: true }, frames.element, seconds.element);
+    const field = (/** @type {string} */ label, /** @type {'width' | 'height' | 'frames' | 'seconds'} */ name, /** @type {object} */ limits) => {
+      const control = numberField(label, { ...limits, change: (value) => (wanted[name] = value) });
+      control.show(wanted[name]);
+      return control.element;
+    };
+    const side = { min: 1, max: 4096, step: 1, unit: 'px' };
+    const size = el('div', { class: 'pair' }, field('Width', 'width', side), field('Height', 'height', side));
+    const turn = el('div', { class: 'pair', hidden: true }, field('Frames', 'frames', { min: 2, max: 720, step: 1 }),
+      field('Duration', 'seconds', { min: 0.1, max: 60, unit: 's' }));
     const ground = toggle('Transparent background', (on) => (wanted.transparent = on));
     const quality = choice('Quality', /** @type {Quality[]} */ (['standard', 'high']).map((value) => ({ value, label: value })), (value) => (wanted.quality = value));
     quality.show(wanted.quality);
@@ -100,7 +99,7 @@ export class Share {
       if (!failed && !abort.signal.aborted) this.dialog.close();
     } }, 'Save');
     this.dialog.addEventListener('close', () => abort.abort(), { once: true });
-    this.#open('Save', what.element, el('div', { class: 'pair' }, width.element, height.element), turn, quality.element, ground.element, bar, progress,
+    this.#open('Save', what.element, size, turn, quality.element, ground.element, bar, progress,
       el('div', { class: 'buttons' }, el('button', { class: 'quiet' }, 'Cancel'), save));
   }
 

@@ -107,7 +107,7 @@ export class Stream {
   #ask(...asked) {
     const [state, size, stage, signal] = asked;
     return new Promise((resolve, reject) => {
-      const message = { request: renderRequest(state, size, stage), moving: stage };
+      const message = { request: renderRequest(state, size, stage, true), moving: stage };
       const number = this.#send(message);
       const timer = stage === 'high' ? 0 : setTimeout(() => this.#lost(), PATIENCE);
       /** @type {Waiter} */
@@ -147,7 +147,7 @@ export class Stream {
   /** @param {ArrayBuffer} data */
   #arrived(data) {
     const length = new DataView(data).getUint32(0, true);
-    const { sequence, request, format, algorithm, timing } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+    const { sequence, request, format, algorithm, timing, warp } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
     const now = performance.now();
     const gap = now - this.#last;
     const socket = this.#socket;
@@ -163,7 +163,7 @@ export class Stream {
     this.#delay = Math.min(this.#delay, way);
     const downloaded = Math.max(0, Math.min(way - this.#delay, gap) - timing.total);
     const blob = new Blob([new Uint8Array(data, 4 + length)], { type: `image/${format}` });
-    waiter.resolve({ blob, stages: timing, algorithm, downloaded, drawn });
+    waiter.resolve({ blob, stages: timing, algorithm, warp, downloaded, drawn });
   }
 
   /** @param {{request: number, error: any}} refusal */

@@ -5,7 +5,7 @@ import { rendersHigh } from './frames.js';
 import { keep, kept } from './page.js';
 import { tidy } from './request.js';
 
-/** @import {State, Camera} from './state.js' */
+/** @import {State, Store} from './state.js' */
 
 const QUALITY_HINTS = {
   auto: 'Standard at rest, then high where that is fast.',
@@ -15,14 +15,14 @@ const QUALITY_HINTS = {
 };
 
 export class ViewPanel {
-  /** @param {import('./state.js').Store} store @param {import('./input.js').Input} input @param {import('./look.js').Look} look */
+  /** @param {Store} store @param {import('./input.js').Input} input @param {import('./look.js').Look} look */
   constructor(store, input, look) {
     this.store = store;
     const set = (/** @type {Partial<State>} */ patch) => store.set(patch);
-    this.projection = choice('Projection', /** @type {import('./controls.js').Option<Camera['projection']>[]} */ ([
+    this.projection = choice('Projection', [
       { value: 'parallel', label: 'Parallel', hint: 'True to scale' },
       { value: 'perspective', label: 'Perspective', hint: 'As an eye sees it' },
-    ]), (projection) => store.setCamera({ projection }));
+    ], (projection) => store.setCamera({ projection }));
     this.fov = slider('Field of view', { min: 5, max: 120, step: 1, text: (v) => `${v}°`, change: (fov_y, moving) => store.setCamera({ fov_y }, moving) });
     this.angles = /** @type {const} */ (['azimuth', 'elevation', 'roll']).map((name) =>
       numberField(name[0].toUpperCase() + name.slice(1), { unit: '°', change: (value) => store.setCamera({ [name]: value }) }));
@@ -33,19 +33,19 @@ export class ViewPanel {
     }, 'Turning never tilts the scan');
     input.upright = kept('upright') === 'yes';
     this.upright.show(input.upright);
-    this.blend = select('Blend', /** @type {import('./controls.js').Option<State['blend']>[]} */ ([
+    this.blend = select('Blend', [
       { value: 'composite', label: 'Composite: opacity and colour' },
       { value: 'maximum', label: 'Maximum intensity' },
       { value: 'minimum', label: 'Minimum intensity' },
       { value: 'average', label: 'Average intensity' },
-    ]), (blend) => set({ blend, window: look.firstWindow(blend) }));
-    this.algorithm = select('Algorithm', /** @type {import('./controls.js').Option<State['algorithm']>[]} */ ([
+    ], (blend) => set({ blend, window: look.firstWindow(blend) }));
+    this.algorithm = select('Algorithm', [
       { value: 'auto', label: 'Automatic' },
       { value: 'preintegrated', label: 'Pre-integrated slabs' },
       { value: 'classified', label: 'Classified, run lengths' },
       { value: 'fast-classification', label: 'Classified, octree' },
       { value: 'raycast', label: 'Ray casting (reference, slow)' },
-    ]), (algorithm) => set({ algorithm }));
+    ], (algorithm) => set({ algorithm }));
     this.quality = choice('Quality at rest', /** @type {State['quality'][]} */ (['auto', 'draft', 'standard', 'high']).map((value) =>
       ({ value, label: value[0].toUpperCase() + value.slice(1), hint: QUALITY_HINTS[value] })), (quality) => set({ quality }));
     this.note = el('p', { class: 'hint' });

@@ -96,6 +96,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
         height,
         format,
         background,
+        stage: fields.image.stage,
         transfer,
         shading,
         algorithm: fields.algorithm,

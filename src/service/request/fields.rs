@@ -8,7 +8,7 @@ use serde::de::{self, Deserialize, Deserializer, MapAccess, Visitor};
 
 use super::AlgorithmChoice;
 use crate::classify::TransferFunction;
-use crate::render::{BufferSlice, Lookup, OpacityCorrection, Projection, Quality, Sampling, SlabTable};
+use crate::render::{BufferSlice, Lookup, OpacityCorrection, Projection, Quality, Sampling, SlabTable, Stage};
 
 #[derive(Default, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -87,6 +87,7 @@ pub struct ImageFields {
     pub height: Option<u32>,
     pub format: Option<String>,
     pub background: Option<String>,
+    pub stage: Stage,
 }
 
 #[derive(Default, serde::Deserialize)]

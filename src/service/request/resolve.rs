@@ -150,6 +150,7 @@ impl RenderRequest {
             preintegration: self.preintegration,
             depth_cueing: self.depth_cueing,
             background: self.background,
+            stage: self.stage,
             shading,
             early_ray_termination: self.early_ray_termination.map_or(defaults.early_ray_termination, |t| t as f32),
             sample_distance: self.sample_distance.unwrap_or(defaults.sample_distance),
@@ -293,7 +294,8 @@ impl ResolvedRequest {
     pub fn canonical(&self) -> String {
         let settings = &self.look.settings;
         // Debug writes floats with as many digits as tell them apart.
-        let frame = format!("{:?} {:?} {}", self.view, settings.background, settings.algorithm.name());
+        let Settings { background, stage, algorithm, .. } = settings;
+        let frame = format!("{:?} {background:?} {stage:?} {}", self.view, algorithm.name());
         let regions = self.regions.iter().map(|RegionLook { shape, look }| {
             format!(" {shape:?} {}", look.as_ref().map_or("nothing".into(), Look::canonical))
         });
@@ -319,7 +321,7 @@ impl Look {
         self.settings.algorithm != Algorithm::FastClassification
     }
 
-    /// All that the pixels depend on besides volume, view, background and algorithm.
+    /// All that the pixels depend on besides volume, view, background, stage and algorithm.
     fn canonical(&self) -> String {
         let settings = &self.settings;
         let samples = match (settings.algorithm, settings.blend) {

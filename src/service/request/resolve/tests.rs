@@ -78,6 +78,7 @@ fn equal_requests_written_differently_have_one_canonical_text() {
         r#"{"preintegration": {"entries": 256, "lookup": "bilinear", "buffer": "image"}}"#,
         r#"{"clip": []}"#,
         r#"{"level": 0}"#,
+        r#"{"image": {"stage": "final"}}"#,
     ];
     for json in equal {
         assert_eq!(canonical(json), canonical("{}"), "{json}");
@@ -112,6 +113,7 @@ fn whatever_changes_the_pixels_changes_the_canonical_text() {
         r#"{"image": {"width": 511}}"#,
         r#"{"image": {"background": "transparent"}}"#,
         r##"{"image": {"background": "#000001"}}"##,
+        r#"{"image": {"stage": "intermediate"}}"#,
         r#"{"shading": false}"#,
         r#"{"shading": {"ambient": 0.3}}"#,
         r#"{"algorithm": "raycast"}"#,
