@@ -39,6 +39,7 @@
 
 pub mod classify;
 pub mod encode;
+pub mod mesh;
 pub mod raycast;
 pub mod render;
 #[cfg(feature = "service")]

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::{Arg, ArgMatches, Args, Command};
@@ -10,10 +11,12 @@ use indicatif::ProgressBar;
 use shearwarp::classify::labels::{LabelTables, Labels};
 use shearwarp::classify::presets::FittedPresets;
 use shearwarp::classify::{Classification, Encodings};
+use shearwarp::mesh::formats::{self, MeshFormat};
+use shearwarp::render::raster::Solid;
 use shearwarp::render::{Cancel, Image, Scene, Timings, View};
 use shearwarp::service;
 use shearwarp::service::request::{
-    ImageLimits, Kind, Look, OPTIONS, RenderRequest, RequestError, ResolvedLabels, ResolvedRequest,
+    GeometryRequest, ImageLimits, Kind, Look, OPTIONS, RenderRequest, RequestError, ResolvedLabels, ResolvedRequest,
 };
 use shearwarp::volume::decode::{self, Limits, RawLayout};
 use shearwarp::volume::{PreparedVolume, Volume, phantom, pyramid};
@@ -153,6 +156,8 @@ pub struct Stage {
     of_regions: Vec<Option<Classified>>,
     /// A segmentation, and its tables.
     labels: Option<(Volume, LabelTables)>,
+    /// Meshes.
+    solids: Vec<Solid>,
     pub request: RenderRequest,
     /// The request before any turn.
     pub resolved: ResolvedRequest,
@@ -194,6 +199,7 @@ impl Stage {
         let presets = FittedPresets::of(&volume, loaded.modality.as_deref());
         let resolved = request.resolve(&volume, &presets, &LIMITS).map_err(refused)?;
         let labels = resolved.labels.as_ref().map(|told| labels(&volume, told)).transpose()?;
+        let solids = resolved.geometry.iter().map(solid).collect::<Result<_, _>>()?;
         let progress = spinner("octree");
         let level = (0..resolved.level()).fold(volume.clone(), |finer, _| pyramid::coarser(&finer));
         let prepared = PreparedVolume::build(level);
@@ -202,7 +208,7 @@ impl Stage {
         let classified = looks.next().flatten();
         let of_regions = looks.collect();
         progress.finish_and_clear();
-        Ok(Self { volume, prepared, classified, of_regions, labels, request, resolved })
+        Ok(Self { volume, prepared, classified, of_regions, labels, solids, request, resolved })
     }
 
     /// The view with the camera turned by `degrees` about the vertical axis.
@@ -225,7 +231,9 @@ impl Stage {
                 labels: self.labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.scalars(), tables }),
             })
             .collect();
-        self.resolved.render(view, &scenes, &Cancel::default()).map_err(|error| Failure::Usage(error.to_string()))
+        self.resolved
+            .render(view, &scenes, &self.solids, &Cancel::default())
+            .map_err(|error| Failure::Usage(error.to_string()))
     }
 }
 
@@ -236,6 +244,17 @@ fn labels(volume: &Volume, told: &ResolvedLabels) -> Result<(Volume, LabelTables
     told.suit(volume, &labels).map_err(refused)?;
     let tables = told.tables(volume, &labels);
     Ok((labels, tables))
+}
+
+/// A mesh that a request names by its file, of a format that the file's name ends with.
+fn solid(told: &GeometryRequest) -> Result<Solid, Failure> {
+    let named = |format: &MeshFormat| told.mesh.to_ascii_lowercase().ends_with(&format!(".{}", format.name()));
+    let format = MeshFormat::ALL.into_iter().find(named).ok_or_else(|| {
+        Failure::of(&told.mesh)("expected a mesh whose name ends with .stl, .obj, .ply or .glb".into())
+    })?;
+    let bytes = fs::read(&told.mesh).map_err(|error| Failure::of(&told.mesh)(error.to_string()))?;
+    let mesh = formats::read(format, &bytes).map_err(|error| Failure::of(&told.mesh)(error.to_string()))?;
+    Ok(told.solid(&Arc::new(mesh)))
 }
 
 /// A request that cannot be met was a wrong usage.

@@ -7,7 +7,8 @@ use super::field::{Field, Place};
 use crate::classify::labels::Labels;
 use crate::classify::summed_area::octree_for;
 use crate::classify::transfer::{TransferFunction, extinction};
-use crate::render::{DepthCueing, Light, Ray, Sampling, Scene, Settings, Shading, View};
+use crate::render::lighting::{AxialDepth, lit};
+use crate::render::{DepthCueing, Ray, Sampling, Scene, Settings, Shading, View};
 use crate::volume::Volume;
 use crate::volume::gradient::Code;
 
@@ -21,7 +22,7 @@ pub(super) struct Medium<'a, T> {
     transfer: &'a TransferFunction,
     reference_length: f64,
     shading: Option<&'a Shading>,
-    depth_cueing: Option<(DepthCueing, Depth)>,
+    depth_cueing: Option<(DepthCueing, AxialDepth)>,
     sampling: Sampling,
     labels: Option<Labels<'a>>,
     opaque: f64,
@@ -47,7 +48,7 @@ impl<'a, T: Code> Medium<'a, T> {
             transfer,
             reference_length: transfer.reference_length(volume.smallest_spacing()),
             shading: settings.shading.as_ref(),
-            depth_cueing: settings.depth_cueing.map(|cueing| (cueing, Depth::new(view, volume))),
+            depth_cueing: settings.depth_cueing.map(|cueing| (cueing, AxialDepth::new(view, volume))),
             sampling: settings.sampling,
             labels: scene.labels,
             opaque: f64::from(settings.early_ray_termination),
@@ -127,43 +128,5 @@ impl<'a, T: Code> Medium<'a, T> {
         let gradient = self.field.gradient(place);
         let color = self.shading.map_or(color, |shading| lit(color, gradient, to_eye, shading));
         (color, tau * self.transfer.gradient_factor(gradient.length()))
-    }
-}
-
-/// The colour under the lights: ambient and diffuse times the colour, specular added, at most 1.
-fn lit(color: DVec3, gradient: DVec3, to_eye: DVec3, shading: &Shading) -> DVec3 {
-    let Some(normal) = gradient.try_normalize() else {
-        return (color * (shading.ambient + shading.diffuse)).min(DVec3::ONE);
-    };
-    let (mut diffuse, mut specular) = (shading.ambient, 0.0);
-    for light in &shading.lights {
-        let (towards, half, intensity) = match *light {
-            Light::Headlight => (to_eye, to_eye, 1.0),
-            Light::Directional { direction, intensity } => {
-                let towards = direction.normalize();
-                (towards, (towards + to_eye).try_normalize().unwrap_or(to_eye), intensity)
-            }
-        };
-        diffuse += intensity * shading.diffuse * normal.dot(towards).abs();
-        specular += intensity * shading.specular * normal.dot(half).abs().powf(shading.shininess);
-    }
-    (color * diffuse + specular).min(DVec3::ONE)
-}
-
-/// Depth along the camera's axis: 0 at the front of the volume's bounding sphere, 1 at its back.
-struct Depth {
-    front: DVec3,
-    forward: DVec3,
-    diameter: f64,
-}
-
-impl Depth {
-    fn new(view: &View, volume: &Volume) -> Self {
-        let (forward, radius) = (view.forward(), volume.radius());
-        Self { front: volume.centre() - forward * radius, forward, diameter: 2.0 * radius }
-    }
-
-    fn of(&self, point: DVec3) -> f64 {
-        (point - self.front).dot(self.forward) / self.diameter
     }
 }

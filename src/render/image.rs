@@ -19,14 +19,25 @@ pub struct Image {
 }
 
 impl Image {
-    /// This picture, which has straight alpha, over an opaque one of the same size.
+    /// This picture, which has straight alpha, over one of the same size.
     ///
     /// # Panics
     /// Where they are not such pictures.
     pub fn over(&self, behind: &Self) -> Self {
         assert_eq!((self.width, self.height, self.channels), (behind.width, behind.height, 4));
-        assert_eq!(behind.channels, 3);
         let mut over = behind.clone();
+        if behind.channels == 4 {
+            for (out, pixel) in over.pixels.chunks_exact_mut(4).zip(self.pixels.chunks_exact(4)) {
+                let (front, back) = (u32::from(pixel[3]), u32::from(out[3]) * (255 - u32::from(pixel[3])));
+                // In units of 1 / 255^2; nothing over nothing is black.
+                let alpha = (255 * front + back).max(1);
+                for (out, color) in out[..3].iter_mut().zip(pixel) {
+                    *out = ((u32::from(*color) * 255 * front + u32::from(*out) * back + alpha / 2) / alpha) as u8;
+                }
+                out[3] = ((255 * front + back + 127) / 255) as u8;
+            }
+            return over;
+        }
         for (out, pixel) in over.pixels.chunks_exact_mut(3).zip(self.pixels.chunks_exact(4)) {
             let alpha = u32::from(pixel[3]);
             for (out, color) in out.iter_mut().zip(pixel) {

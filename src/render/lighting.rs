@@ -1,8 +1,9 @@
-//! Light on a gradient: the shading model where nothing is tabulated by normal.
+//! Light on a gradient, and depth: the shading model where nothing is tabulated by normal.
 
 use glam::{DVec3, Vec3};
 
-use super::{Light, Shading};
+use super::{Light, Shading, View};
+use crate::volume::Volume;
 
 /// The shading model, ready to be asked for every sample.
 #[derive(Clone, Debug)]
@@ -114,6 +115,47 @@ impl Lighting {
             bits >>= 1;
         }
         *cosines = powers;
+    }
+}
+
+/// A sample's colour under the lights, by its gradient (world, of any length) and the direction to the eye (world, unit): ambient and diffuse times the colour, specular added, at most 1.
+pub fn lit(color: DVec3, gradient: DVec3, to_eye: DVec3, shading: &Shading) -> DVec3 {
+    let Some(normal) = gradient.try_normalize() else {
+        return (color * (shading.ambient + shading.diffuse)).min(DVec3::ONE);
+    };
+    let (mut diffuse, mut specular) = (shading.ambient, 0.0);
+    for light in &shading.lights {
+        let (towards, half, intensity) = match *light {
+            Light::Headlight => (to_eye, to_eye, 1.0),
+            Light::Directional { direction, intensity } => {
+                let towards = direction.normalize();
+                (towards, (towards + to_eye).try_normalize().unwrap_or(to_eye), intensity)
+            }
+        };
+        diffuse += intensity * shading.diffuse * normal.dot(towards).abs();
+        specular += intensity * shading.specular * normal.dot(half).abs().powf(shading.shininess);
+    }
+    (color * diffuse + specular).min(DVec3::ONE)
+}
+
+/// Depth along the camera's axis: 0 at the front of the volume's bounding sphere, 1 at its back.
+#[derive(Clone, Debug)]
+pub struct AxialDepth {
+    front: DVec3,
+    forward: DVec3,
+    diameter: f64,
+}
+
+impl AxialDepth {
+    /// Of a view of `volume`.
+    pub fn new(view: &View, volume: &Volume) -> Self {
+        let (forward, radius) = (view.forward(), volume.radius());
+        Self { front: volume.centre() - forward * radius, forward, diameter: 2.0 * radius }
+    }
+
+    /// Of a point, world mm.
+    pub fn of(&self, point: DVec3) -> f64 {
+        (point - self.front).dot(self.forward) / self.diameter
     }
 }
 

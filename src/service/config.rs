@@ -38,6 +38,7 @@ pub struct Config {
     pub stream: Stream,
     pub image: Image,
     pub volume: Volume,
+    pub meshes: Meshes,
     pub cache: Cache,
 }
 
@@ -102,6 +103,13 @@ pub struct Image {
 #[serde(deny_unknown_fields)]
 pub struct Volume {
     pub max_voxels: u64,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Meshes {
+    pub max_upload_bytes: NonZeroUsize,
+    pub max_bytes: u64,
 }
 
 #[derive(Clone, Debug, Deserialize)]

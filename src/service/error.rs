@@ -26,6 +26,11 @@ pub enum Problem {
     NoSuchRoute,
     NoSuchVolume(String),
     NoSuchPreset(String),
+    NoSuchMesh(String),
+    /// Meshes take as many bytes as they may.
+    MeshesFull {
+        limit: u64,
+    },
     MethodNotAllowed,
     /// None of the formats in `Accept` is offered.
     NotAcceptable,
@@ -82,6 +87,8 @@ impl Problem {
             Self::NoSuchRoute => (StatusCode::NOT_FOUND, "no-such-route", "No such route"),
             Self::NoSuchVolume(_) => (StatusCode::NOT_FOUND, "no-such-volume", "No such volume"),
             Self::NoSuchPreset(_) => (StatusCode::NOT_FOUND, "no-such-preset", "No such preset"),
+            Self::NoSuchMesh(_) => (StatusCode::NOT_FOUND, "no-such-mesh", "No such mesh"),
+            Self::MeshesFull { .. } => (StatusCode::INSUFFICIENT_STORAGE, "meshes-full", "No room for more meshes"),
             Self::MethodNotAllowed => (StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", "Method not allowed"),
             Self::NotAcceptable => (StatusCode::NOT_ACCEPTABLE, "not-acceptable", "No acceptable format"),
             Self::BodyTimeout => (StatusCode::REQUEST_TIMEOUT, "body-timeout", "Body too slow"),
@@ -108,6 +115,10 @@ impl Problem {
             Self::NoSuchRoute => "this service has no such route; /openapi.yaml lists them".into(),
             Self::NoSuchVolume(id) => format!("there is no volume {id:?}; GET /v1/volumes lists them"),
             Self::NoSuchPreset(name) => format!("there is no preset {name:?}; GET /v1/presets lists them"),
+            Self::NoSuchMesh(id) => format!("there is no mesh {id:?}; GET /v1/meshes lists them"),
+            Self::MeshesFull { limit } => {
+                format!("meshes may take {limit} bytes in all; DELETE /v1/meshes/{{id}} makes room")
+            }
             Self::MethodNotAllowed => "the header Allow lists this route's methods".into(),
             Self::NotAcceptable => {
                 "Accept names nothing that this route can answer; /openapi.yaml lists what it can".into()

@@ -15,12 +15,13 @@ use super::classified::ClassifiedKey;
 use super::error::Problem;
 use super::observe::Rendered;
 use super::render_pool::Ticket;
-use super::request::{RenderRequest, RequestError, ResolvedRequest};
+use super::request::{GeometryRequest, RenderRequest, RequestError, ResolvedRequest};
 use super::scene::{self, Parts, Scene3d};
 use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
 use crate::classify::labels::Labels;
 use crate::encode::{Format, encode};
+use crate::render::raster::Solid;
 use crate::render::{self, Background, Image, Scene, Stage, Timings};
 
 const IMAGE_WARP: HeaderName = HeaderName::from_static("x-image-warp");
@@ -125,6 +126,8 @@ pub(super) struct Asked {
     frame: ResolvedRequest,
     /// Where the request names a segmentation.
     labels: Option<Arc<LoadedVolume>>,
+    /// Of the request's geometry.
+    solids: Arc<[Solid]>,
     format: Format,
     /// What stands behind the volume.
     picture: Option<Arc<Image>>,
@@ -167,12 +170,26 @@ impl Asked {
             Ok::<_, Problem>(labels)
         });
         let labels = labels.transpose()?;
+        let solid = |(index, told): (usize, &GeometryRequest)| match app.meshes.get(&told.mesh) {
+            Some(uploaded) => Ok(told.solid(&uploaded.mesh)),
+            None => {
+                let detail = format!("there is no mesh {:?}; GET /v1/meshes lists them", told.mesh);
+                Err(Problem::refused(format!("/geometry/{index}/mesh"), detail))
+            }
+        };
+        let solids = frame.geometry.iter().enumerate().map(solid).collect::<Result<_, Problem>>()?;
         let etag = etag(&volume, labels.as_deref(), &frame, format);
-        Ok(Self { arrived, id, volume, frame, labels, format, picture: None, place: None, etag })
+        Ok(Self { arrived, id, volume, frame, labels, solids, format, picture: None, place: None, etag })
     }
 
     /// The same frame merged with a scene: rays end at its geometry, and its picture is behind the volume.
     async fn within(mut self, app: &App, parts: Parts, request: &RenderRequest) -> Result<Self, Problem> {
+        if !self.solids.is_empty() {
+            return Err(Problem::refused(
+                "/geometry",
+                "does not go with a depth buffer; upload what it shows, or draw the meshes into it",
+            ));
+        }
         let matrices = request.matrices();
         let view = self.frame.view.clone();
         let made = app.pool.admit()?.run(move |_| parts.scene(&view, matrices)).await?.0?;
@@ -249,7 +266,7 @@ impl Asked {
         };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
-        let picture = self.picture.clone();
+        let (picture, solids) = (self.picture.clone(), Arc::clone(&self.solids));
         let job = move |cancel: &render::Cancel| {
             let prepared = volume.level(frame.level());
             let labels = labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.volume().scalars(), tables });
@@ -264,7 +281,7 @@ impl Asked {
                     labels,
                 })
                 .collect();
-            let (image, stages) = frame.render(&frame.view, &scenes, cancel)?;
+            let (image, stages) = frame.render(&frame.view, &scenes, &solids, cancel)?;
             let image = match &picture {
                 None => image,
                 Some(picture) => image.over(picture),

@@ -131,6 +131,8 @@ pub struct Gauges {
     pub running: usize,
     pub streams: usize,
     pub cache: CacheSize,
+    /// How many, and their bytes.
+    pub meshes: (usize, u64),
     /// (ready, loading, failed)
     pub volumes: (usize, usize, usize),
 }
@@ -149,6 +151,9 @@ pub fn render(gauges: Gauges) -> String {
     gauge!("shearwarp_encodings_building").set(gauges.cache.building as f64);
     gauge!("shearwarp_encodings_building_bytes").set(gauges.cache.building_bytes as f64);
     gauge!("shearwarp_classifications_bytes").set(gauges.cache.classification_bytes as f64);
+    let (meshes, mesh_bytes) = gauges.meshes;
+    gauge!("shearwarp_meshes").set(meshes as f64);
+    gauge!("shearwarp_meshes_bytes").set(mesh_bytes as f64);
     let (ready, loading, failed) = gauges.volumes;
     for (status, count) in [("ready", ready), ("loading", loading), ("failed", failed)] {
         gauge!("shearwarp_volumes", "status" => status).set(count as f64);

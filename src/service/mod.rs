@@ -11,6 +11,7 @@ pub mod config;
 mod error;
 mod frames;
 mod loading;
+mod meshes;
 mod metrics;
 mod negotiate;
 mod observe;
@@ -40,6 +41,7 @@ use tracing_subscriber::EnvFilter;
 use cache_folder::CacheFolder;
 use classified::ClassifiedCache;
 use config::{Config, LogFormat};
+use meshes::Meshes;
 use render_pool::RenderPool;
 use store::Store;
 use stream::Streams;
@@ -70,6 +72,7 @@ pub struct App {
     streams: Streams,
     /// Room for clients' scenes.
     scenes: Arc<Semaphore>,
+    meshes: Meshes,
 }
 
 /// A service that has its address and is not yet running.
@@ -103,7 +106,8 @@ impl Service {
         let address = listener.local_addr().map_err(failed)?;
         let streams = Streams::new(config.stream.max_streams.get());
         let scenes = Arc::new(Semaphore::new(config.http.max_scenes.get().min(Semaphore::MAX_PERMITS)));
-        Ok(Self { listener, address, app: Arc::new(App { config, pool, store, streams, scenes }) })
+        let meshes = Meshes::new(config.meshes.max_bytes);
+        Ok(Self { listener, address, app: Arc::new(App { config, pool, store, streams, scenes, meshes }) })
     }
 
     /// Where it listens; the port is the real one where 0 was asked for.

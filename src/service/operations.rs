@@ -54,7 +54,7 @@ pub async fn metrics(State(app): State<Arc<App>>) -> Response {
     let cache = app.store.classified.size().await;
     let (waiting, running) = (app.pool.waiting(), app.pool.running());
     let (streams, volumes) = (app.streams.open(), app.store.counts());
-    let text = metrics::render(Gauges { waiting, running, streams, cache, volumes });
+    let text = metrics::render(Gauges { waiting, running, streams, cache, meshes: app.meshes.size(), volumes });
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
 }
 

@@ -14,12 +14,16 @@ pub(super) mod json;
 mod options;
 mod resolve;
 
-use glam::DMat4;
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat4};
 use serde_json::Value;
 
 pub use crate::classify::InvalidField;
 use crate::classify::{Color, TransferFunction};
 use crate::encode::Format;
+use crate::mesh::Mesh;
+use crate::render::raster::Solid;
 use crate::render::{
     Background, Camera, Clip, DepthCueing, IntensityProjection, Preintegration, Quality, Sampling, Shading, Stage,
 };
@@ -115,7 +119,24 @@ pub struct RenderRequest {
     /// Of two that hold a point the later one is meant.
     regions: Vec<RegionRequest>,
     labels: Option<LabelsRequest>,
+    geometry: Vec<GeometryRequest>,
     spelling: Spelling,
+}
+
+/// A mesh in the volume's space.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GeometryRequest {
+    /// Its id.
+    pub mesh: String,
+    color: Color,
+    world_from_mesh: DAffine3,
+}
+
+impl GeometryRequest {
+    /// The mesh of that id where it is to be.
+    pub fn solid(&self, mesh: &Arc<Mesh>) -> Solid {
+        Solid { mesh: Arc::clone(mesh), world_from_mesh: self.world_from_mesh, color: self.color.0 }
+    }
 }
 
 /// What is told of a segmentation.

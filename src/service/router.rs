@@ -9,7 +9,7 @@ use axum::routing::{MethodRouter, get, post};
 use tower_http::catch_panic::CatchPanicLayer;
 
 use super::error::{Problem, panicked};
-use super::{App, frames, observe, operations, presets, stream, turntable, viewer, volumes};
+use super::{App, frames, meshes, observe, operations, presets, stream, turntable, viewer, volumes};
 use crate::encode::Format;
 
 /// Every path with its methods; `GET` includes `HEAD`. openapi.yaml states the same.
@@ -27,6 +27,8 @@ pub(super) fn routes() -> Vec<(&'static str, MethodRouter<Arc<App>>)> {
         ("/v1/volumes/{id}/frame.raw", get(|a, b, c, d| frames::from_query(Format::Raw, a, b, c, d))),
         ("/v1/volumes/{id}/turntable", post(turntable::from_body)),
         ("/v1/volumes/{id}/stream", get(stream::open)),
+        ("/v1/meshes", get(meshes::list).post(meshes::create)),
+        ("/v1/meshes/{id}", get(meshes::one).delete(meshes::delete)),
         ("/v1/presets", get(presets::list)),
         ("/v1/presets/{name}", get(presets::one)),
         ("/healthz", get(operations::healthz)),

@@ -4,6 +4,8 @@
 //! nothing without them), `depth` and, if the volume is to be blended over it, `color`. Sizes are checked against the request before
 //! anything is decoded.
 
+use std::convert::Infallible;
+use std::future::ready;
 use std::io::Cursor;
 use std::sync::Arc;
 
@@ -70,9 +72,7 @@ async fn parts(app: &App, request: Request, place: OwnedSemaphorePermit) -> Resu
         StatusCode::PAYLOAD_TOO_LARGE => Problem::BodyTooLarge { limit },
         _ => Problem::Malformed(error.body_text()),
     };
-    // The router's limit is for JSON.
-    let limited = DefaultBodyLimit::max(limit).layer(service_fn(async |request: Request| Ok::<_, Problem>(request)));
-    let request = limited.oneshot(request).await?;
+    let request = with_body_limit(request, limit).await;
     let mut multipart =
         Multipart::from_request(request, &()).await.map_err(|rejection| Problem::Malformed(rejection.body_text()))?;
     let (mut request, mut depth, mut color) = (None, None, None);
@@ -92,6 +92,14 @@ async fn parts(app: &App, request: Request, place: OwnedSemaphorePermit) -> Resu
     }
     let depth = depth.ok_or_else(|| Problem::refused("/depth", "expected a part with the depth buffer"))?;
     Ok((request.map(|part| part.bytes).unwrap_or_default(), Parts { depth, color, place }))
+}
+
+/// The request with a limit of its own: the router's is for JSON.
+pub async fn with_body_limit(request: Request, limit: usize) -> Request {
+    let limited =
+        DefaultBodyLimit::max(limit).layer(service_fn(|request: Request| ready(Ok::<_, Infallible>(request))));
+    let Ok(request) = limited.oneshot(request).await;
+    request
 }
 
 impl Parts {

@@ -2,6 +2,7 @@
 
 mod files;
 mod hostile;
+mod meshes;
 mod metaimage;
 mod nifti;
 mod nrrd;

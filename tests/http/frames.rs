@@ -90,6 +90,7 @@ async fn an_intermediate_image_comes_with_its_warp_and_without_what_is_empty() {
         let warp: Vec<f64> = header(&image, "x-image-warp").split(", ").map(|n| n.parse().unwrap()).collect();
         let [width, height] = ["x-image-width", "x-image-height"].map(|name| header(&image, name).parse().unwrap());
         let (frame, image) = (frame.bytes().await.unwrap(), image.bytes().await.unwrap());
+        let (frame, image): (&[u8], &[u8]) = (&frame, &image);
         assert!((10..40).contains(&width) && (10..40).contains(&height), "{width} x {height}");
         assert_eq!(image.len(), width * height * 3);
         // What is drawn is around the middle of either image.

@@ -7,6 +7,7 @@ mod encodings;
 mod errors;
 mod frames;
 mod labels;
+mod meshes;
 mod overload;
 mod scene;
 mod service;

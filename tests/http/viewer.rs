@@ -13,13 +13,17 @@ async fn the_page_and_all_that_it_names_are_served_and_may_load_nothing_from_els
     assert!(policy.starts_with("default-src 'self'; img-src 'self' blob:;"), "{policy}");
     assert!(!policy.contains("unsafe") && !policy.contains("http"), "{policy}");
     let link = header(&response, "link").to_owned();
-    let modules = link.split(", ").map(|link| link.strip_suffix(">; rel=modulepreload").unwrap().trim_start_matches('<'));
+    let modules =
+        link.split(", ").map(|link| link.strip_suffix(">; rel=modulepreload").unwrap().trim_start_matches('<'));
     let page = response.text().await.unwrap();
     // Scripts and styles of the page itself are forbidden by the policy: it must not have any.
     assert!(!page.contains("style=") && !page.contains("<style") && !page.contains("<script>"), "{page}");
     let named = page.split("href=").skip(1).map(|rest| rest.split([' ', '>', '#']).next().unwrap());
     let files: Vec<_> = named.filter(|path| !path.is_empty()).chain(modules).collect();
-    assert!(["style.css", "icons.svg", "js/main.js", "js/warp.js"].iter().all(|path| files.contains(path)), "{files:?}");
+    assert!(
+        ["style.css", "icons.svg", "js/main.js", "js/warp.js"].iter().all(|path| files.contains(path)),
+        "{files:?}"
+    );
     for path in files {
         let response = service.get(&format!("/{path}")).await;
         assert_eq!(response.status(), 200, "{path}");

@@ -10,6 +10,7 @@ mod golden;
 mod invariance;
 mod labels;
 mod layering;
+mod meshes;
 mod perspective;
 mod projections;
 mod ramp;

@@ -7,13 +7,13 @@ use std::ops::{Bound, RangeBounds, RangeInclusive};
 use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 
 use super::fields::{
-    Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, HullFields, ImageFields, Keep,
-    LabelFields, LabelsFields, LightFields, LightName, LookAtFields, MatricesFields, PlaneFields, PreintegrationFields,
-    RegionFields, ShadingFields, SphereFields, WindowFields,
+    Blend, BoxFields, CameraFields, ClipFields, DepthCueingFields, Either, Fields, GeometryFields, HullFields,
+    ImageFields, Keep, LabelFields, LabelsFields, LightFields, LightName, LookAtFields, MatricesFields, PlaneFields,
+    PreintegrationFields, RegionFields, ShadingFields, SphereFields, WindowFields,
 };
 use super::{
-    AlgorithmChoice, InvalidField, LabelRequest, LabelsRequest, RegionRequest, RenderRequest, ShadingChoice, Spelling,
-    Transfer,
+    AlgorithmChoice, GeometryRequest, InvalidField, LabelRequest, LabelsRequest, RegionRequest, RenderRequest,
+    ShadingChoice, Spelling, Transfer,
 };
 use crate::classify::{Color, TransferFunction};
 use crate::encode::{Format, Unfit};
@@ -64,6 +64,10 @@ const MAX_CLIP: usize = 16;
 const MAX_SHOWN_REGIONS: usize = 4;
 const _: () = assert!(MAX_CLIP + MAX_SHOWN_REGIONS <= MAX_REGIONS);
 const REGION_OPACITY: RangeInclusive<f64> = 0.0..=1.0;
+/// Meshes in one frame.
+const MAX_GEOMETRY: usize = 32;
+/// Of a mesh whose colour is not told.
+const MESH_COLOR: Color = Color([0.8; 3]);
 const DEFAULT_SIDE: u32 = 512;
 
 pub const NO_AZIMUTH: &str = "expected an orbit camera: frames around the vertical axis start from its azimuth";
@@ -89,6 +93,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
     let depth_cueing = fields.depth_cueing.as_ref().map(|cueing| refusals.depth_cueing(cueing));
     let (clip, cut_out) = refusals.clip(fields.clip.unwrap_or_default());
     let labels = fields.labels.map(|labels| refusals.labels(labels));
+    let geometry = refusals.geometry(fields.geometry.unwrap_or_default());
     let regions = refusals.regions(fields.regions.unwrap_or_default(), projection, fields.algorithm);
     let request = RenderRequest {
         camera,
@@ -114,6 +119,7 @@ pub fn check(fields: Fields) -> Result<RenderRequest, Vec<InvalidField>> {
         cut_out,
         regions,
         labels,
+        geometry,
         spelling: Spelling::Json,
     };
     if refusals.0.is_empty() { Ok(request) } else { Err(refusals.0) }
@@ -444,6 +450,35 @@ impl Refusals {
             }
         };
         LabelsRequest { volume: fields.volume, looks: fields.looks.into_iter().enumerate().map(look).collect() }
+    }
+
+    fn geometry(&mut self, geometry: Vec<GeometryFields>) -> Vec<GeometryRequest> {
+        if geometry.len() > MAX_GEOMETRY {
+            self.refuse("/geometry", format!("expected at most {MAX_GEOMETRY} meshes, got {}", geometry.len()));
+        }
+        let solid = |(index, fields): (usize, GeometryFields)| {
+            let place = format!("/geometry/{index}");
+            if fields.opacity.is_some_and(|opacity| opacity != 1.0) {
+                self.refuse(format!("{place}/opacity"), "expected 1: meshes are opaque");
+            }
+            let color = fields.color.as_deref().map_or(Some(MESH_COLOR), Color::from_hex);
+            if color.is_none() {
+                self.refuse(format!("{place}/color"), "expected \"#rrggbb\"");
+            }
+            let pose = fields.pose.map_or(DMat4::IDENTITY, |pose| DMat4::from_cols_array(&pose));
+            self.elements(&format!("{place}/pose"), &pose.to_cols_array(), &POSITION);
+            let size = DMat3::from_mat4(pose).determinant().abs();
+            if (pose.row(3) - DVec4::W).abs().max_element() > 1e-6 || !(size.is_normal() && size.recip().is_normal()) {
+                let detail = "expected an affine transform with an inverse, column by column";
+                self.refuse(format!("{place}/pose"), detail);
+            }
+            GeometryRequest {
+                mesh: fields.mesh,
+                color: color.unwrap_or(MESH_COLOR),
+                world_from_mesh: DAffine3::from_mat4(pose),
+            }
+        };
+        geometry.into_iter().enumerate().map(solid).collect()
     }
 
     /// A convex part of the world; `place` points to what tells it.

@@ -30,6 +30,7 @@ pub struct Fields {
     pub clip: Option<Vec<ClipFields>>,
     pub regions: Option<Vec<RegionFields>>,
     pub labels: Option<LabelsFields>,
+    pub geometry: Option<Vec<GeometryFields>>,
     pub preintegration: Option<PreintegrationFields>,
 }
 
@@ -190,6 +191,16 @@ pub struct PlaneFields {
     pub point: [f64; 3],
     /// Towards the inside.
     pub normal: [f64; 3],
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GeometryFields {
+    pub mesh: String,
+    pub color: Option<String>,
+    /// World mm from the mesh's, column by column; affine.
+    pub pose: Option<[f64; 16]>,
+    pub opacity: Option<f64>,
 }
 
 #[derive(serde::Deserialize)]

@@ -2,15 +2,21 @@
 
 mod labels;
 
+use std::sync::Arc;
+use std::time::Instant;
+
 use super::fields::WindowFields;
-use super::{AlgorithmChoice, InvalidField, RegionRequest, RenderRequest, RequestError, ShadingChoice, Transfer};
+use super::{
+    AlgorithmChoice, GeometryRequest, InvalidField, RegionRequest, RenderRequest, RequestError, ShadingChoice, Transfer,
+};
 use crate::classify::presets::{self, FittedPresets};
 use crate::classify::{Purpose, TransferFunction};
 use crate::encode::Format;
+use crate::render::raster::{self, Solid};
 use crate::render::regions::{Region, render_with_regions};
 use crate::render::{
-    self, Algorithm, Blend, BufferSlice, Cancel, Clip, Image, Preintegration, Quality, RenderError, Scene, Settings,
-    Shading, Timings, View, Window,
+    self, Algorithm, Background, Blend, BufferSlice, Cancel, Clip, Image, Preintegration, Quality, RenderError, Scene,
+    Settings, Shading, Stage, Timings, View, Window,
 };
 use crate::volume::{Volume, pyramid};
 pub use labels::ResolvedLabels;
@@ -37,6 +43,8 @@ pub struct ResolvedRequest {
     pub labels: Option<ResolvedLabels>,
     /// Where it looks otherwise, in order: of two that hold a point the later one is meant.
     pub regions: Vec<RegionLook>,
+    /// Meshes beside the volume.
+    pub geometry: Vec<GeometryRequest>,
     /// `None`: the request leaves it open.
     pub format: Option<Format>,
 }
@@ -116,7 +124,7 @@ impl RenderRequest {
         // What is cut out stays so, whatever is to be shown there.
         let cut_out = self.cut_out.iter().map(|shape| Ok(RegionLook { shape: shape.clone(), look: None }));
         let regions = shown.chain(cut_out).collect::<Result<_, RequestError>>()?;
-        Ok(ResolvedRequest { view, look, labels, regions, format: self.format })
+        Ok(ResolvedRequest { view, look, labels, regions, geometry: self.geometry.clone(), format: self.format })
     }
 
     /// How the volume looks, in a region if there is one.
@@ -274,14 +282,42 @@ impl ResolvedRequest {
         [&self.look].into_iter().chain(self.regions.iter().filter_map(|region| region.look.as_ref()))
     }
 
-    /// The frame as `view` sees it; `scenes` are what the [`Self::looks`] show, in their order.
+    /// The frame as `view` sees it; `scenes` are what the [`Self::looks`] show and `solids` what the geometry is, in their order.
     ///
     /// # Errors
     /// As [`render::render`].
-    pub fn render(&self, view: &View, scenes: &[Scene<'_>], cancel: &Cancel) -> Result<(Image, Timings), RenderError> {
+    pub fn render(
+        &self,
+        view: &View,
+        scenes: &[Scene<'_>],
+        solids: &[Solid],
+        cancel: &Cancel,
+    ) -> Result<(Image, Timings), RenderError> {
+        if solids.is_empty() {
+            return self.render_volume(view, &self.look.settings, scenes, cancel);
+        }
+        let start = Instant::now();
+        let settings = &self.look.settings;
+        let drawn = raster::draw(solids, view, scenes[0].prepared.volume(), settings, cancel)?;
+        let shade = start.elapsed();
+        let view = view.clone().ending_at(Arc::new(drawn.depth));
+        let settings = Settings { background: Background::Transparent, stage: Stage::Final, ..settings.clone() };
+        let (image, timings) = self.render_volume(&view, &settings, scenes, cancel)?;
+        let image = image.over(&drawn.picture);
+        Ok((image, Timings { shade: timings.shade + shade, render: start.elapsed(), ..timings }))
+    }
+
+    /// The volume alone, with the frame's settings told apart.
+    fn render_volume(
+        &self,
+        view: &View,
+        settings: &Settings,
+        scenes: &[Scene<'_>],
+        cancel: &Cancel,
+    ) -> Result<(Image, Timings), RenderError> {
         let mut shown = self.looks().zip(scenes).map(|(look, scene)| (*scene, &look.settings));
         let mut next = || shown.next().expect("as many scenes as looks");
-        let (scene, settings) = next();
+        let (scene, _) = next();
         let regions = self.regions.iter();
         let regions: Vec<_> = regions
             .map(|RegionLook { shape, look }| Region { shape: shape.clone(), shown: look.as_ref().map(|_| next()) })
@@ -300,7 +336,8 @@ impl ResolvedRequest {
             format!(" {shape:?} {}", look.as_ref().map_or("nothing".into(), Look::canonical))
         });
         let labels = self.labels.as_ref().map_or(String::new(), |labels| format!(" {labels:?}"));
-        format!("{frame} {}{}{labels}", self.look.canonical(), regions.collect::<String>())
+        let look = self.look.canonical();
+        format!("{frame} {look}{}{labels} {:?}", regions.collect::<String>(), self.geometry)
     }
 }
 
