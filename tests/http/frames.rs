@@ -88,7 +88,8 @@ async fn an_intermediate_image_comes_with_its_warp_and_without_what_is_empty() {
         assert_ne!(header(&frame, "etag"), header(&image, "etag"));
         assert!(!frame.headers().contains_key("x-image-warp"));
         let warp: Vec<f64> = header(&image, "x-image-warp").split(", ").map(|n| n.parse().unwrap()).collect();
-        let [width, height] = ["x-image-width", "x-image-height"].map(|name| header(&image, name).parse().unwrap());
+        let [width, height]: [usize; 2] =
+            ["x-image-width", "x-image-height"].map(|name| header(&image, name).parse().unwrap());
         let (frame, image) = (frame.bytes().await.unwrap(), image.bytes().await.unwrap());
         let (frame, image): (&[u8], &[u8]) = (&frame, &image);
         assert!((10..40).contains(&width) && (10..40).contains(&height), "{width} x {height}");
