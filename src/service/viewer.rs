@@ -49,6 +49,7 @@ static FILES: LazyLock<Vec<File>> = LazyLock::new(|| {
         "js/cut-panel.js",
         "js/dom.js",
         "js/frames.js",
+        "js/handles.js",
         "js/input.js",
         "js/lamps.js",
         "js/light-panel.js",

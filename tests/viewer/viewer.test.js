@@ -323,6 +323,43 @@ test('a plane and a box cut the scan open, and a link keeps it so', async () => 
   await close();
 });
 
+test('what cuts is moved by handles on the picture, as long as its panel is open', async () => {
+  const { page, errors, close } = await arrived(`${CALM}&azimuth=20&box=-60,-70,-80,60,70,80`);
+  const dots = page.locator('.handles span');
+  assert.equal(await dots.count(), 0);
+  await page.getByRole('tab', { name: 'Cut' }).click();
+  assert.equal(await dots.count(), 6, 'a box has six sides');
+  /** Drags a handle by so many pixels. @param {number} nth @param {number} dx @param {number} dy */
+  const pull = async (nth, dx, dy) => {
+    const box = await dots.nth(nth).boundingBox();
+    assert.ok(box);
+    await page.mouse.move(box.x + 9, box.y + 9);
+    await page.mouse.down();
+    await page.mouse.move(box.x + 9 + dx, box.y + 9 + dy, { steps: 4 });
+    await page.mouse.up();
+    const now = await dots.nth(nth).boundingBox();
+    return now && [now.x - box.x, now.y - box.y];
+  };
+  const [left, top] = [1, 5];
+  const moved = await pull(top, 0, 40);
+  assert.ok(moved && Math.abs(moved[0]) < 1 && Math.abs(moved[1] - 40) < 1.5, `it stays under the pointer: ${moved}`);
+  await linked(page, 'box', (box) => box !== null && Number(box.split(',')[5]) < 70);
+  await pull(left, -50, 0);
+  await linked(page, 'box', (box) => box !== null && Number(box.split(',')[3]) < 50);
+  assert.deepEqual(inLink(page, 'box')?.split(',').slice(0, 3), ['-60', '-70', '-80'], 'the other sides stay');
+  await page.getByRole('button', { name: 'Left', exact: true }).click();
+  assert.equal(await dots.count(), 7);
+  const before = inLink(page, 'plane');
+  await pull(0, -30, 0);
+  await linked(page, 'plane', (plane) => plane !== null && plane !== before);
+  assert.equal(inLink(page, 'azimuth'), '20', 'the scan was not turned');
+  await rested(page);
+  await page.getByRole('tab', { name: 'Look' }).click();
+  assert.equal(await dots.count(), 0);
+  assert.deepEqual(errors, []);
+  await close();
+});
+
 test('the lists are those of the service', async () => {
   const { page, close } = await arrived();
   const contract = await (await fetch(`${service.address}/openapi.yaml`)).text();

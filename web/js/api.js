@@ -31,11 +31,7 @@ import { framePath } from './request.js';
 
 /** Why there is no answer, and in which way that may change. */
 export class Problem extends Error {
-  /**
-   * @param {Kind} kind
-   * @param {string} message
-   * @param {{retryAfter?: number, errors?: {pointer: string, detail: string}[]}} [more]
-   */
+  /** @param {Kind} kind @param {string} message @param {{retryAfter?: number, errors?: {pointer: string, detail: string}[]}} [more] */
   constructor(kind, message, { retryAfter = 1, errors = [] } = {}) {
     super(message);
     this.kind = kind;
@@ -50,10 +46,7 @@ export class Problem extends Error {
   }
 }
 
-/**
- * @param {string} path @param {RequestInit} [init] @returns {Promise<Response>} a good one
- * @throws {Problem} or an AbortError
- */
+/** @param {string} path @param {RequestInit} [init] @returns {Promise<Response>} a good one @throws {Problem} or an AbortError */
 async function ask(path, init) {
   let response;
   try {
@@ -102,10 +95,7 @@ export const histogram = (id, signal) => json(`${volumePath(id)}/histogram?bins=
 export const fitted = (id, preset, signal) =>
   json(`${volumePath(id)}/transfer-function${preset ? `?preset=${encodeURIComponent(preset)}` : ''}`, signal);
 
-/**
- * @param {string} id @param {object} request @param {AbortSignal} signal
- * @returns {Promise<FrameAnswer>}
- */
+/** @param {string} id @param {object} request @param {AbortSignal} signal @returns {Promise<FrameAnswer>} */
 export async function frame(id, request, signal) {
   const headers = { 'Content-Type': 'application/json' };
   const response = await ask(framePath(id), { method: 'POST', headers, body: JSON.stringify(request), signal });
@@ -117,7 +107,7 @@ export async function frame(id, request, signal) {
   return { blob, stages, algorithm, warp, downloaded: performance.now() - arrived };
 }
 
-/** A small still frame, to the side of what is being looked at. @param {string} id @param {Record<string, string>} query @param {AbortSignal} signal */
+/** A small still frame, to the side of what is being looked at. @param {string} id @param {Record<string, any>} query @param {AbortSignal} signal */
 export async function thumbnail(id, query, signal) {
   const path = `${framePath(id)}.png?${new URLSearchParams(query)}`;
   const response = await ask(path, { signal, priority: 'low' });

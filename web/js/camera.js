@@ -1,9 +1,8 @@
 /**
  * @file The camera: how gestures turn, move and enlarge it.
  *
- * The state keeps the service's orbit (azimuth, elevation, roll), because that is what links, requests
- * and people say. Turning happens on the camera's axes and is read back into angles: every
- * orientation has some, so that nothing is lost at the poles.
+ * The state keeps the service's orbit (azimuth, elevation, roll): what links, requests and people say. Turning happens on the camera's
+ * axes and is read back into angles, so that nothing is lost at the poles.
  */
 import { add, cross, dot, length, normalized, scale, subtract, turned } from './vector.js';
 
@@ -100,6 +99,15 @@ export function extent(camera, sphere) {
   return camera.projection === 'parallel' ? flat : flat / Math.cos(camera.fov_y / 2 / DEGREES);
 }
 
+/** Where a point is seen, in picture coordinates, and how long their unit is there, mm. @param {Camera} camera @param {Sphere} sphere @param {Vector} point @returns {{point: [number, number], mm: number}} */
+export function seenAt(camera, sphere, point) {
+  const { right, up, back } = axes(camera);
+  const offset = subtract(point, camera.target ?? sphere.centre);
+  const nearer = camera.projection === 'parallel' ? 0 : (dot(back, offset) * Math.sin(camera.fov_y / 2 / DEGREES)) / sphere.radius;
+  const mm = (extent(camera, sphere) / 2) * (1 - nearer);
+  return { point: [dot(right, offset) / mm, dot(up, offset) / mm], mm };
+}
+
 /** Moves the scan in the picture's plane. @param {Camera} camera @param {Sphere} sphere @param {number} dx @param {number} dy as for {@link orbited} */
 export function panned(camera, sphere, dx, dy) {
   const { right, up } = axes(camera);
@@ -129,11 +137,7 @@ export function between(from, to, part) {
   return angles({ right: turn(a.right), up: turn(a.up), back: turn(a.back) });
 }
 
-/**
- * Centre and radius of a scan's box of voxel centres.
- * @param {{dimensions: number[], spacing: number[], origin: number[], direction: number[]}} volume
- * @returns {Sphere}
- */
+/** Centre and radius of a scan's box of voxel centres. @param {{dimensions: number[], spacing: number[], origin: number[], direction: number[]}} volume @returns {Sphere} */
 export function boundingSphere({ dimensions, spacing, origin, direction }) {
   const half = dimensions.map((n, axis) => ((n - 1) * spacing[axis]) / 2);
   const row = (/** @type {number} */ r) =>
@@ -141,10 +145,7 @@ export function boundingSphere({ dimensions, spacing, origin, direction }) {
   return { centre: [row(0), row(1), row(2)], radius: Math.hypot(...half) };
 }
 
-/**
- * Where that box begins along a direction, and how long it is there, mm for one of length 1.
- * @param {Parameters<typeof boundingSphere>[0]} volume @param {Vector} along
- */
+/** Where that box begins along a direction, and how long it is there, mm for one of length 1. @param {Parameters<typeof boundingSphere>[0]} volume @param {Vector} along */
 export function span(volume, along) {
   const size = volume.dimensions.reduce((sum, n, column) =>
     sum + Math.abs(along.reduce((part, a, r) => part + a * volume.direction[3 * r + column], 0) * (n - 1) * volume.spacing[column]), 0);

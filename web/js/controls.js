@@ -94,12 +94,7 @@ export function choice(label, options, change) {
   };
 }
 
-/**
- * One of many.
- * @template {string} T
- * @param {string} label @param {Option<T>[]} options @param {(value: T) => void} change
- * @returns {Control<T>}
- */
+/** One of many. @template {string} T @param {string} label @param {Option<T>[]} options @param {(value: T) => void} change @returns {Control<T>} */
 export function select(label, options, change) {
   const id = nextId();
   const onchange = () => change(/** @type {T} */ (input.value));

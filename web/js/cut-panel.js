@@ -9,6 +9,7 @@ import { el } from './dom.js';
 import { rounded } from './request.js';
 import { add, dot, scale } from './vector.js';
 
+/** @import {Handle} from './handles.js' */
 /** @import {Vector} from './vector.js' */
 
 /** Two for each axis, the one towards its negative end first. */
@@ -31,7 +32,7 @@ export class CutPanel {
       slider(label, { min: 0, max: 1, step: 0.005, change, text: (part) => `${Number((part * this.#span(normal())[1]).toPrecision(3))} mm` });
     this.depth = ruler('Depth', () => this.#direction, (part, moving) => this.#cut(this.#direction, part, moving));
     const from = (/** @type {string} */ label, /** @type {() => Vector} */ normal) =>
-      el('button', { type: 'button', class: 'quiet', onclick: () => this.#cut(normal(), this.#part || 0.5) }, label);
+      el('button', { type: 'button', class: 'quiet', onclick: () => this.#cut(normal(), this.#depth || 0.5) }, label);
     const here = from('From here', () => this.#facing);
     this.sides = SIDES.map((label, side) => from(label, () => inward(side)));
     this.box = SIDES.map((label, side) => ruler(label, () => inward(side), (part, moving) => this.#trim(side, part, moving)));
@@ -61,12 +62,30 @@ export class CutPanel {
     return volume ? span(volume, normal) : [0, 0];
   }
 
-  /** Of the way through the scan, that of the plane. */
-  get #part() {
+  /** How much of the way through the scan lies before a point. @param {Vector} normal @param {Vector} point */
+  #part(normal, point) {
+    const [start, size] = this.#span(normal);
+    return (dot(normal, point) - start) / size;
+  }
+
+  /** That of the plane. */
+  get #depth() {
     const { plane } = this.store.state;
-    if (!plane) return 0;
-    const [start, size] = this.#span(plane.normal);
-    return (dot(plane.normal, plane.point) - start) / size;
+    return plane ? this.#part(plane.normal, plane.point) : 0;
+  }
+
+  /** The plane in its middle, and the sides of the box. @returns {Handle[]} */
+  handles() {
+    const { plane, box } = this.store.state;
+    const handle = (/** @type {Vector} */ at, /** @type {Vector} */ along, /** @type {(part: number, moving: boolean) => void} */ change) =>
+      ({ at, along, move: (/** @type {Vector} */ to, /** @type {boolean} */ moving) => change(this.#part(along, to), moving) });
+    const handles = plane ? [handle(plane.point, plane.normal, (part, moving) => this.#cut(plane.normal, Math.max(0.005, Math.min(part, 1)), moving))] : [];
+    if (box) SIDES.forEach((_, side) => {
+      const middle = (/** @type {number} */ axis) => (box.min[axis] + box.max[axis]) / 2;
+      const at = /** @type {Vector} */ ([0, 1, 2].map((axis) => (axis === side >> 1 ? box[side % 2 ? 'max' : 'min'][axis] : middle(axis))));
+      handles.push(handle(at, inward(side), (part, moving) => this.#trim(side, Math.max(0, part), moving)));
+    });
+    return handles;
   }
 
   /** @param {Vector} normal @param {number} part @param {boolean} [moving] */
@@ -96,12 +115,8 @@ export class CutPanel {
   show() {
     const { plane, box } = this.store.state;
     if (plane) this.#normal = plane.normal;
-    this.depth.show(this.#part);
+    this.depth.show(this.#depth);
     this.sides.forEach((button, side) => button.setAttribute('aria-pressed', String(plane !== null && String(plane.normal) === String(inward(side)))));
-    this.box.forEach((control, side) => {
-      const normal = inward(side);
-      const [start, size] = this.#span(normal);
-      control.show(box ? (dot(normal, side % 2 ? box.max : box.min) - start) / size : 0);
-    });
+    this.box.forEach((control, side) => control.show(box ? this.#part(inward(side), side % 2 ? box.max : box.min) : 0));
   }
 }

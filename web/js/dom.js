@@ -5,10 +5,7 @@ const SVG = 'http://www.w3.org/2000/svg';
 /** @typedef {Record<string, string | number | boolean | ((event: any) => void) | undefined>} Attributes `on…` listen; `true` is an empty attribute, `false` none */
 /** @typedef {(Node | string)[]} Children */
 
-/**
- * @template {Element} E
- * @param {E} element @param {Attributes} attributes @param {Children} children
- */
+/** @template {Element} E @param {E} element @param {Attributes} attributes @param {Children} children */
 function filled(element, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
     if (typeof value === 'function') element.addEventListener(name.slice(2), value);
@@ -18,18 +15,10 @@ function filled(element, attributes, children) {
   return element;
 }
 
-/**
- * @template {keyof HTMLElementTagNameMap} K
- * @param {K} tag @param {Attributes} [attributes] @param {Children} children
- * @returns {HTMLElementTagNameMap[K]}
- */
+/** @template {keyof HTMLElementTagNameMap} K @param {K} tag @param {Attributes} [attributes] @param {Children} children @returns {HTMLElementTagNameMap[K]} */
 export const el = (tag, attributes = {}, ...children) => filled(document.createElement(tag), attributes, children);
 
-/**
- * @template {keyof SVGElementTagNameMap} K
- * @param {K} tag @param {Attributes} [attributes] @param {Children} children
- * @returns {SVGElementTagNameMap[K]}
- */
+/** @template {keyof SVGElementTagNameMap} K @param {K} tag @param {Attributes} [attributes] @param {Children} children @returns {SVGElementTagNameMap[K]} */
 export const svg = (tag, attributes = {}, ...children) => filled(document.createElementNS(SVG, tag), attributes, children);
 
 /**

@@ -1,14 +1,12 @@
 /**
  * @file Which frame to ask for next.
  *
- * A pointer moves faster than frames come. If every move asked for a frame, a slow service would show
- * the past, and the longer a drag, the older. So the newest view wins: at most two drafts are under way
- * (the second fills the line while the first is drawn), whatever came between them is never asked
- * for, and when one arrives the newest view is asked for. Once the view rests, the same is asked
- * for in `standard`, then in `high` where that is fast; both are given up at the next move, which ends
- * the service's work on them too.
+ * A pointer moves faster than frames come: if every move asked for one, a slow service would show the past. So the newest view
+ * wins: at most two drafts are under way (the second fills the line while the first is drawn), and what came between them is never
+ * asked for. Once the view rests, the same is asked for in `standard`, then in `high` where that is fast; both are given up at the
+ * next move, which ends the service's work on them too.
  *
- * Where a frame comes from is one function, {@link Source}: a stream over one connection, HTTP without one (stream.js).
+ * Where a frame comes from is one function, {@link Source} (stream.js).
  */
 import { Problem } from './api.js';
 
@@ -18,6 +16,7 @@ import { Problem } from './api.js';
 /** @typedef {'draft' | 'standard' | 'high'} Stage */
 /** @typedef {(state: State, size: Size, stage: Stage, signal: AbortSignal) => Promise<FrameAnswer | null>} Source `null`: passed over for a newer one */
 /** @typedef {FrameAnswer & {bitmap: ImageBitmap, state: State, size: Size, stage: Stage, latency: number}} Frame */
+/** @typedef {ReturnType<typeof setTimeout> | 0} Timer 0 where none runs */
 /** @typedef {{version: number, stage: Stage, abort: AbortController, started: number}} Flight */
 
 /** @type {Stage[]} */
@@ -48,10 +47,9 @@ export class Frames {
   #cost = NaN;
   #last = 0;
   #latency = 0;
-  // Timers; 0 where none runs.
-  /** @type {ReturnType<typeof setTimeout> | 0} */ #rest = 0;
-  /** @type {ReturnType<typeof setTimeout> | 0} */ #retry = 0;
-  /** @type {ReturnType<typeof setTimeout> | 0} */ #second = 0;
+  /** @type {Timer} */ #rest = 0;
+  /** @type {Timer} */ #retry = 0;
+  /** @type {Timer} */ #second = 0;
   /** Kinds of views whose `high` took too long. @type {Set<string>} */
   #slow = new Set();
   /** @type {((frame: Frame) => void)[]} */ onFrame = [];
@@ -59,9 +57,7 @@ export class Frames {
   /** Whether something is under way that refines the picture at rest. */
   onRefining = (/** @type {boolean} */ _busy) => {};
 
-  /**
-   * @param {() => State} state @param {() => Size} size the full resolution @param {Source} source
-   */
+  /** @param {() => State} state @param {() => Size} size the full resolution @param {Source} source */
   constructor(state, size, source) {
     this.state = state;
     this.size = size;
@@ -225,10 +221,7 @@ export class Frames {
     return { width: scaled(width), height: scaled(height) };
   }
 
-  /**
-   * Drafts get smaller where they are dear and larger where they are cheap. The line's delay is not
-   * counted: smaller pictures do not shorten it. @param {Frame} frame
-   */
+  /** Drafts get smaller where they are dear and larger where they are cheap. The line's delay is not counted: smaller pictures do not shorten it. @param {Frame} frame */
   #adapt({ stages, downloaded, latency }) {
     this.#latency = this.#latency ? 0.7 * this.#latency + 0.3 * latency : latency;
     const cost = (stages.total ?? 0) - (stages.prepare ?? 0) + downloaded;

@@ -1,8 +1,8 @@
 /**
  * @file Pointers, wheel and keys on the picture, as changes of the camera.
  *
- * A mouse has buttons and a keyboard beside it, a finger has neither: so whatever a modifier does can also be
- * chosen as the tool that a plain drag uses, and two fingers pan, enlarge and roll at once.
+ * A finger has no buttons and no keyboard: what a modifier does can also be chosen as the tool of a plain drag, and two fingers pan,
+ * enlarge and roll at once.
  */
 import { ANATOMICAL, orbited, panned, spun, swivelled, zoomed } from './camera.js';
 import { ARROWS } from './dom.js';
@@ -18,6 +18,7 @@ const STEP = 5;
 export class Input {
   /** @type {Map<number, Point>} */ #pointers = new Map();
   /** @type {Tool} */ #drag = 'orbit';
+  /** The handle in hand, or -1. */ #held = -1;
   /** What a plain drag does. @type {Tool} */ tool = 'orbit';
   /** Whether turning keeps the scan upright. */ upright = false;
 
@@ -25,13 +26,15 @@ export class Input {
    * @param {HTMLElement} element
    * @param {import('./state.js').Store} store
    * @param {() => Sphere | null} sphere
+   * @param {import('./handles.js').Handles} handles
    * @param {{drag: (dx: number, dy: number) => void, commit: () => void}} windowing
    * @param {(name: keyof typeof ANATOMICAL) => void} lookFrom
    */
-  constructor(element, store, sphere, windowing, lookFrom) {
+  constructor(element, store, sphere, handles, windowing, lookFrom) {
     this.element = element;
     this.store = store;
     this.sphere = sphere;
+    this.handles = handles;
     this.windowing = windowing;
     this.lookFrom = lookFrom;
     element.addEventListener('pointerdown', (event) => this.#down(event));
@@ -51,14 +54,19 @@ export class Input {
   /** @param {MouseEvent} event @returns {Point} */
   #at({ clientX, clientY }) {
     const { left, top, width, height } = this.element.getBoundingClientRect();
-    const half = Math.min(width, height) / 2;
-    return [(clientX - left - width / 2) / half, (top + height / 2 - clientY) / half];
+    return [(clientX - left - width / 2) / this.#half, (top + height / 2 - clientY) / this.#half];
+  }
+
+  /** Pixels of the unit of picture coordinates. */
+  get #half() {
+    return Math.min(this.element.clientWidth, this.element.clientHeight) / 2;
   }
 
   /** @param {PointerEvent} event */
   #down(event) {
     this.element.setPointerCapture(event.pointerId);
     this.#pointers.set(event.pointerId, this.#at(event));
+    this.#held = this.handles.near(this.#at(event), this.#half);
     if (event.button === 1) event.preventDefault();
     this.#drag = event.button === 1 || event.shiftKey ? 'pan'
       : event.button === 2 || event.ctrlKey || event.metaKey ? 'window'
@@ -81,14 +89,18 @@ export class Input {
   /** @param {PointerEvent} event */
   #up(event) {
     this.#pointers.delete(event.pointerId);
-    if (this.#drag === 'window') this.windowing.commit();
+    const sphere = this.sphere();
+    if (this.#held >= 0 && sphere) this.handles.drag(this.#held, sphere, [0, 0]);
+    else if (this.#drag === 'window') this.windowing.commit();
+    this.#held = -1;
   }
 
   /** @param {Sphere} sphere @param {Point} before @param {Point} now */
   #dragged(sphere, before, now) {
     const { camera } = this.store.state;
     const [dx, dy] = [now[0] - before[0], now[1] - before[1]];
-    if (this.#drag === 'window') this.windowing.drag(dx, dy);
+    if (this.#held >= 0) this.handles.drag(this.#held, sphere, [dx, dy]);
+    else if (this.#drag === 'window') this.windowing.drag(dx, dy);
     else if (this.#drag === 'pan') this.store.setCamera(panned(camera, sphere, dx, dy), true);
     else if (this.#drag === 'zoom') this.store.setCamera(zoomed(camera, sphere, Math.exp(dy * 1.5), [0, 0]), true);
     else if (this.#drag === 'roll') this.store.setCamera(spun(camera, [0, 0, 1], turn([0, 0], before, now)), true);

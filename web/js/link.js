@@ -1,9 +1,8 @@
 /**
  * @file The state as the page's fragment, `#volume=head&azimuth=30&preset=ct-bone`, and back.
  *
- * A link must be readable, survive being cut and pasted, and open in a later version. So it has the
- * names of the frame route's query, holds only what differs from the defaults, and whatever cannot
- * be understood is left at its default: half a link still shows the scan.
+ * It has the names of the frame route's query and only what differs from the defaults; what cannot be understood is left at its
+ * default: half a link still shows the scan.
  */
 import { DEFAULTS, DEFAULT_CAMERA, DEFAULT_SHADING } from './state.js';
 import { tidy } from './request.js';

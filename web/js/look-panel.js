@@ -13,9 +13,7 @@ export class LookPanel {
   /** The opacity distance that density 1 stands for: that of the last preset, or of the link; 0 before. */
   #reference = 0;
 
-  /**
-   * @param {import('./state.js').Store} store @param {Look} look @param {TransferEditor} editor @param {Node} presets
-   */
+  /** @param {import('./state.js').Store} store @param {Look} look @param {TransferEditor} editor @param {Node} presets */
   constructor(store, look, editor, presets) {
     this.store = store;
     this.look = look;

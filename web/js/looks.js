@@ -1,11 +1,9 @@
 /**
  * @file Which looks a scan is offered.
  *
- * Presets for computed tomography are written in Hounsfield units, and many files are not: scanners and archives
- * shift them, or squeeze them into 8 bits. There "Skin" by its name is a solid box. The scan's own look, which the
- * service makes from the histogram, tells how its units lie: either it is one of the presets, shifted, and
- * then the others are shifted alike; or the units mean nothing, and two looks are drawn from it: everything
- * that is no background, and the densest of it.
+ * Presets for computed tomography are written in Hounsfield units, and many files are not: "Skin" by its name is then a solid box. The
+ * scan's own look, made from the histogram, tells how its units lie: either it is one of the presets, shifted, and then the others are
+ * shifted alike; or the units mean nothing, and two looks are drawn from it: all that is no background, and the densest of it.
  */
 import { short } from './transfer.js';
 
@@ -64,9 +62,7 @@ function shifted({ name, title, description, shading, transfer_function: transfe
   return { name, title, description, transfer: { ...transfer, points }, shading };
 }
 
-/**
- * From where the look first shows something, and where it becomes opaque. @param {TransferFunction} own @param {number} width @returns {Offer[]}
- */
+/** From where the look first shows something, and where it becomes opaque. @param {TransferFunction} own @param {number} width @returns {Offer[]} */
 function drawnFrom({ points, ...rest }, width) {
   const most = Math.max(...points.map(({ opacity }) => opacity));
   const full = points.findIndex(({ opacity }) => opacity === most);

@@ -7,6 +7,7 @@ import { Cube } from './cube.js';
 import { CutPanel } from './cut-panel.js';
 import { byId, iconButton, takeIcons } from './dom.js';
 import { Frames } from './frames.js';
+import { Handles } from './handles.js';
 import { Input } from './input.js';
 import { LightPanel } from './light-panel.js';
 import { fromHash, toHash } from './link.js';
@@ -60,9 +61,10 @@ const look = new Look(store, volume);
 const editor = new TransferEditor(look);
 const presets = new PresetList(store, thumbnails);
 const timings = new Timings();
-const input = new Input(byId('view'), store, sphere, look, lookFrom);
 const scans = new ScanPanel(store, thumbnails, open);
 const cut = new CutPanel(store, volume);
+const handles = new Handles(store, sphere, () => (cut.element.checkVisibility() ? cut.handles() : []));
+const input = new Input(byId('view'), store, sphere, handles, look, lookFrom);
 const share = new Share(store, () => view.size(), messages, /** @type {HTMLDialogElement} */ (byId('dialog')));
 
 frames.onFrame.push((shown) => view.show(shown), (shown) => timings.add(shown), (shown) => {
@@ -73,14 +75,17 @@ frames.onProblem = (/** @type {Problem | null} */ problem) => messages.show(prob
 frames.onRefining = (/** @type {boolean} */ busy) => byId('view').classList.toggle('refining', busy);
 view.onResize = () => changed(false);
 
-byId('overlay').append(new Cube(store, lookFrom).element, timings.element);
+byId('overlay').append(handles.element, new Cube(store, lookFrom).element, timings.element);
 const openTab = tabs(byId('tabs'), byId('panels'), [
   { name: 'scan', label: 'Scan', content: scans.element },
   { name: 'look', label: 'Look', content: new LookPanel(store, look, editor, presets.element).element },
   { name: 'light', label: 'Light', content: new LightPanel(store, look).element },
   { name: 'cut', label: 'Cut', content: cut.element },
   { name: 'view', label: 'View', content: new ViewPanel(store, input, look).element },
-], () => thumbnails.wake());
+], () => {
+  thumbnails.wake();
+  handles.draw();
+});
 tools((tool) => (input.tool = tool));
 byId('head').append(
   iconButton('link', 'Copy a link to this view', () => share.copyLink(), { id: 'copy-link' }),
@@ -117,7 +122,6 @@ store.subscribe((state, before, moving) => {
     history.replaceState(null, '', written);
     byId('view').setAttribute('aria-label', `${volume()?.name ?? 'The scan'}, ${described(state.camera)}${state.plane || state.box ? ', cut open' : ''}`);
   }, LINK_PAUSE);
-  byId('view').classList.toggle('checkered', state.background === 'transparent');
 });
 window.addEventListener('hashchange', () => {
   if (location.hash === written) return;

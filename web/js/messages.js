@@ -1,8 +1,4 @@
-/**
- * @file What stands between a person and the picture, in words, with what they can do.
- *
- * The last picture stays where it is below the message: a moment's overload is no reason to lose sight of a scan.
- */
+/** @file What stands between a person and the picture, in words, with what they can do. The last picture stays below it. */
 import { el, icon } from './dom.js';
 
 /** @import {Problem} from './api.js' */

@@ -86,10 +86,7 @@ export function tabs(list, place, tabs, shown) {
   return open;
 }
 
-/**
- * What a plain drag on the picture does, for those who have no modifier keys at hand.
- * @param {(tool: Tool) => void} choose
- */
+/** What a plain drag on the picture does, for those who have no modifier keys at hand. @param {(tool: Tool) => void} choose */
 export function tools(choose) {
   byId('tools').append(...TOOLS.map(([tool, label, keys]) => el('label', { title: label + keys },
     el('input', { type: 'radio', name: 'tool', checked: tool === 'orbit', onchange: () => choose(tool) }), icon(tool), el('span', { class: 'unseen' }, label))));

@@ -14,10 +14,7 @@ export class PresetList {
   /** @type {Preset[]} */ #presets = [];
   /** @type {{button: HTMLElement, transfer: string | null}[]} */ #buttons = [];
 
-  /**
-   * @param {import('./state.js').Store} store
-   * @param {import('./thumbnails.js').Thumbnails} thumbnails
-   */
+  /** @param {import('./state.js').Store} store @param {import('./thumbnails.js').Thumbnails} thumbnails */
   constructor(store, thumbnails) {
     this.store = store;
     this.thumbnails = thumbnails;

@@ -64,10 +64,7 @@ export function renderRequest(state, size, quality, unwarped) {
 /** @param {string} id */
 export const framePath = (id) => `v1/volumes/${encodeURIComponent(id)}/frame`;
 
-/**
- * A command that gives the same picture.
- * @param {State} state @param {Size} size @param {'draft' | 'standard' | 'high'} quality @param {string} base URL of the page
- */
+/** A command that gives the same picture. @param {State} state @param {Size} size @param {'draft' | 'standard' | 'high'} quality @param {string} base URL of the page */
 export function curlCommand(state, size, quality, base) {
   const quoted = (/** @type {string} */ text) => `'${text.replaceAll("'", `'\\''`)}'`;
   const body = JSON.stringify(renderRequest(state, size, quality));

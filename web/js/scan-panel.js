@@ -6,10 +6,7 @@ import { emptyImage } from './thumbnails.js';
 /** @import {Volume} from './api.js' */
 
 export class ScanPanel {
-  /**
-   * @param {import('./state.js').Store} store @param {import('./thumbnails.js').Thumbnails} thumbnails
-   * @param {(id: string) => void} open
-   */
+  /** @param {import('./state.js').Store} store @param {import('./thumbnails.js').Thumbnails} thumbnails @param {(id: string) => void} open */
   constructor(store, thumbnails, open) {
     this.store = store;
     this.thumbnails = thumbnails;

@@ -12,10 +12,7 @@ import { turntable } from './turntable.js';
 /** @typedef {Size & {transparent: boolean, quality: Quality, what: 'picture' | 'turntable', frames: number, seconds: number}} Wanted */
 
 export class Share {
-  /**
-   * @param {import('./state.js').Store} store @param {() => Size} size of the picture
-   * @param {import('./messages.js').Messages} messages @param {HTMLDialogElement} dialog
-   */
+  /** @param {import('./state.js').Store} store @param {() => Size} size of the picture @param {import('./messages.js').Messages} messages @param {HTMLDialogElement} dialog */
   constructor(store, size, messages, dialog) {
     this.store = store;
     this.size = size;

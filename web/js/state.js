@@ -1,9 +1,8 @@
 /**
  * @file All that the viewer shows, in one plain object.
  *
- * Modules never talk to each other: each reads the state, writes changes through the store, and
- * listens for changes. That is what makes a link possible (the state is all there is), and undo.
- * What a default stands for is not written into the state: `transfer: null` is the scan's own look.
+ * Modules never talk to each other: each reads the state, writes changes through the store, and listens. That is what makes a link
+ * possible, and undo. What a default stands for is not written into it: `transfer: null` is the scan's own look.
  */
 
 /** @import {Vector} from './vector.js' */
@@ -98,10 +97,7 @@ export class Store {
     this.state = state;
   }
 
-  /**
-   * @param {Partial<State>} patch
-   * @param {boolean} [moving] true within a gesture: more of the same will follow at once
-   */
+  /** @param {Partial<State>} patch @param {boolean} [moving] true within a gesture: more of the same will follow at once */
   set(patch, moving = false) {
     const before = this.state;
     this.state = { ...before, ...patch };

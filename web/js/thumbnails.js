@@ -1,8 +1,4 @@
-/**
- * @file Small still frames for lists, one after another, and only while the picture itself needs nothing.
- *
- * A list of scans would otherwise ask for as many frames at once as there are scans, just when a person starts to turn one.
- */
+/** @file Small still frames for lists, one after another, and only while the picture itself needs nothing. */
 import { Problem, frame, thumbnail } from './api.js';
 
 /** Pixels along a side: twice what is shown, for fine screens. */
@@ -72,7 +68,7 @@ export class Thumbnails {
 async function rendered({ id, transfer, shading }, signal) {
   if (transfer === null || typeof transfer === 'string') {
     const query = { ...CAMERA, width: SIDE, height: SIDE, quality: 'draft', ...(transfer ? { preset: transfer } : {}) };
-    return thumbnail(id, Object.fromEntries(Object.entries(query).map(([name, value]) => [name, String(value)])), signal);
+    return thumbnail(id, query, signal);
   }
   const image = { width: SIDE, height: SIDE, format: 'png' };
   const request = { camera: CAMERA, image, transfer_function: transfer, ...(shading === null ? {} : { shading }), quality: 'draft' };

@@ -1,15 +1,11 @@
-/**
- * @file Where a frame's time went: the service's stages and the way, for the last frames.
- *
- * Closed it is two numbers; open it is a graph, so that whoever wonders why it is slow can see whether the
- * queue, the renderer, the encoder or the line is.
- */
+/** @file Where a frame's time went, the service's stages and the way: closed two numbers, open a graph of the last frames. */
 import { el, icon } from './dom.js';
 
 /** @import {Frame} from './frames.js' */
 
 /** From the bottom of a bar to its top; `way` is what the service's own total leaves of the latency. */
-const STAGES = ['queue', 'prepare', 'shade', 'composite', 'warp', 'encode', 'way'];
+const COLORS = { queue: '#f2a65a', prepare: '#e0709b', shade: '#f6d860', composite: '#3fb8a6', warp: '#6fa8ff', encode: '#b18cf0', way: '#6b7684' };
+const STAGES = Object.keys(COLORS);
 const BARS = 60;
 /** Milliseconds that the frame rate looks back. */
 const LOOK_BACK = 1000;
@@ -21,7 +17,8 @@ export class Timings {
   constructor() {
     this.numbers = el('span', { class: 'numbers' }, '–');
     this.canvas = el('canvas', { width: 480, height: 120, role: 'img', 'aria-label': 'Time per frame, by stage' });
-    this.legend = el('ul', { class: 'legend' }, ...STAGES.map((stage) => el('li', { class: `stage-${stage}` }, el('span', {}, stage), el('b', {}, ''))));
+    this.legend = el('ul', { class: 'legend' }, ...STAGES.map((stage) => el('li', {}, el('span', {}, stage), el('b'))));
+    [...this.legend.querySelectorAll('li')].forEach((item, i) => item.style.setProperty('--stage', Object.values(COLORS)[i]));
     this.details = el('p', { class: 'details' });
     const summary = el('summary', { title: 'Frame rate and latency' }, icon('pulse'), this.numbers);
     this.element = el('details', { class: 'timings', ontoggle: () => this.#draw() }, summary,
@@ -48,7 +45,6 @@ export class Timings {
     if (!this.element.open || !last) return;
     const context = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext('2d'));
     const { width, height } = this.canvas;
-    const colors = [...this.legend.children].map((item) => getComputedStyle(item).getPropertyValue('--stage'));
     const sums = this.#bars.map((bar) => STAGES.reduce((sum, stage) => sum + (bar[stage] ?? 0), 0));
     const most = Math.max(10, ...sums);
     context.clearRect(0, 0, width, height);
@@ -56,7 +52,7 @@ export class Timings {
       let y = height;
       STAGES.forEach((stage, s) => {
         const tall = ((bar[stage] ?? 0) / most) * (height - 14);
-        context.fillStyle = colors[s];
+        context.fillStyle = Object.values(COLORS)[s];
         context.fillRect((i * width) / BARS, y - tall, width / BARS - 1, tall);
         y -= tall;
       });

@@ -15,6 +15,7 @@ import { heightOf, opacityOf, sampled, ticks } from './transfer.js';
 const EDGE = { left: 30, right: 10, top: 12, bottom: 34 };
 const STRIP = 8;
 const HEIGHT = 190;
+const BASE = HEIGHT - EDGE.bottom;
 /** Pixels around a point in which a pointer takes hold of it. */
 const HOLD = 14;
 const LABELLED = [0.001, 0.01, 0.1, 0.5, 1];
@@ -56,18 +57,18 @@ export class TransferPlot {
 
   /** @param {number} opacity */
   y(opacity) {
-    return HEIGHT - EDGE.bottom - heightOf(opacity) * (HEIGHT - EDGE.top - EDGE.bottom);
+    return BASE - heightOf(opacity) * (BASE - EDGE.top);
   }
 
   /** @param {number} y */
   opacity(y) {
-    const opacity = opacityOf((HEIGHT - EDGE.bottom - y) / (HEIGHT - EDGE.top - EDGE.bottom));
+    const opacity = opacityOf((BASE - y) / (BASE - EDGE.top));
     return opacity < 5e-5 ? 0 : Number(opacity.toPrecision(3));
   }
 
   /** Whether a height is that of the plot and not of the axis below. @param {number} y */
   covers(y) {
-    return y <= HEIGHT - EDGE.bottom + STRIP;
+    return y <= BASE + STRIP;
   }
 
   /** The point that a pointer takes hold of, or -1; of several in one place the last. @param {ControlPoint[]} points @param {number} x @param {number} y */
@@ -132,23 +133,21 @@ export class TransferPlot {
     if (!histogram) return;
     const { bins, min, max, counts } = histogram;
     const most = Math.log1p(counts.reduce((a, b) => Math.max(a, b), 1));
-    const base = HEIGHT - EDGE.bottom;
     const at = (/** @type {number} */ bin) => this.x(min + ((bin + 0.5) / bins) * (max - min));
-    const tops = counts.map((count, bin) => [at(bin), base - (Math.log1p(count) / most) * (base - EDGE.top)]);
+    const tops = counts.map((count, bin) => [at(bin), BASE - (Math.log1p(count) / most) * (BASE - EDGE.top)]);
     const shown = tops.filter(([x]) => this.#inside(x));
     if (shown.length === 0) return path.removeAttribute('d');
-    path.setAttribute('d', `M${fixed([shown[0][0], base])}${lines(shown)}L${fixed([shown[shown.length - 1][0], base])}Z`);
+    path.setAttribute('d', `M${fixed([shown[0][0], BASE])}${lines(shown)}L${fixed([shown[shown.length - 1][0], BASE])}Z`);
   }
 
   /** @param {ControlPoint[]} points */
   #drawCurve(points) {
-    const base = HEIGHT - EDGE.bottom;
     const [left, right] = [EDGE.left, this.width - EDGE.right];
     const border = (/** @type {number} */ i) => this.y(sampled(points, this.domain[i]).opacity);
     const bent = points.flatMap((point, i) => (i > 0 ? this.#stretch(points[i - 1], point) : [[this.x(point.value), this.y(point.opacity)]]));
     const line = [[left, border(0)], ...bent.filter(([x]) => x >= left && x <= right), [right, border(1)]];
     this.parts.curve.setAttribute('d', `M${lines(line).slice(1)}`);
-    this.parts.area.setAttribute('d', `M${left},${base}${lines(line)}L${right},${base}Z`);
+    this.parts.area.setAttribute('d', `M${left},${BASE}${lines(line)}L${right},${BASE}Z`);
   }
 
   /** Straight between two points on a linear axis, and so a curve on this one; a step stays a step. @param {ControlPoint} a @param {ControlPoint} b */
@@ -163,7 +162,7 @@ export class TransferPlot {
   #drawColors(points) {
     const [left, right] = [EDGE.left, this.width - EDGE.right];
     const { gradient, strip } = this.parts;
-    const places = { x: left, y: HEIGHT - EDGE.bottom + 4, width: right - left };
+    const places = { x: left, y: BASE + 4, width: right - left };
     for (const [name, value] of Object.entries(places)) strip.setAttribute(name, String(value));
     gradient.setAttribute('x1', String(left));
     gradient.setAttribute('x2', String(right));

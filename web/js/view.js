@@ -1,9 +1,4 @@
-/**
- * @file The picture: the newest frame, laid where the camera now says it belongs.
- *
- * The canvas has a frame's pixels and nothing else; its style puts them in place, at every change of the camera, and the browser
- * interpolates (warp.js).
- */
+/** @file The picture: a canvas with the newest frame's pixels, whose style puts them where the camera now says they belong (warp.js). */
 import { matrix3d, placed } from './warp.js';
 
 /** @import {Frame} from './frames.js' */
@@ -55,6 +50,7 @@ export class View {
     const frame = this.#frame;
     const sphere = this.sphere();
     element.style.backgroundColor = state.background;
+    element.classList.toggle('checkered', state.background === 'transparent');
     canvas.hidden = !frame || !sphere || frame.state.volume !== state.volume;
     if (!frame || !sphere) return;
     const view = { width: element.clientWidth, height: element.clientHeight };
