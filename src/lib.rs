@@ -15,6 +15,7 @@
 //! 3. [`render`]: the encoded scanlines and a [`render::View`] become an [`render::Image`]:
 //!    factorization, shading table, compositing of sheared slices into the intermediate image,
 //!    warp.
+//!    [`mesh`]es that stand in the volume end its rays (`render/raster.rs`).
 //! 4. [`raycast`]: the same picture by the slow and plain way, the reference for the fast one.
 //! 5. [`encode`]: an image becomes PNG, JPEG, WebP or raw bytes.
 //! 6. `service` (feature `service`): HTTP over the above.
