@@ -81,7 +81,7 @@ pub fn read(format: MeshFormat, bytes: &[u8]) -> Result<Mesh, MeshError> {
     let found = outcome.unwrap_or_else(|_| Err(Failure::Read("the file cannot be read".into())));
     let Parts { positions, normals, triangles } = found.map_err(|failure| match failure {
         Failure::Read(detail) => MeshError::Malformed { format: format.name(), detail },
-        Failure::TooMany(got) => MeshError::TooMany { got },
+        Failure::Mesh(error) => error,
     })?;
     Mesh::new(positions, normals, triangles)
 }
@@ -97,9 +97,10 @@ struct Parts {
 
 enum Failure {
     Read(String),
-    TooMany(usize),
+    Mesh(MeshError),
 }
 
+/// What a crate says.
 impl<E: std::error::Error> From<E> for Failure {
     fn from(error: E) -> Self {
         Self::Read(error.to_string())
@@ -112,13 +113,12 @@ impl Parts {
         for pair in corners.windows(2).skip(1) {
             self.triangles.push([corners[0], pair[0], pair[1]]);
         }
-        self.check()
+        self.room(0, 0)
     }
 
-    /// Ends the reading of what is too large.
-    fn check(&self) -> Result<(), Failure> {
-        let got = self.triangles.len();
-        if got > Mesh::MAX_TRIANGLES { Err(Failure::TooMany(got)) } else { Ok(()) }
+    /// Whether so many more may be, before memory is taken for them.
+    fn room(&self, vertices: usize, triangles: usize) -> Result<(), Failure> {
+        Mesh::room(self.positions.len() + vertices, self.triangles.len() + triangles).map_err(Failure::Mesh)
     }
 }
 
@@ -241,12 +241,10 @@ fn glb(bytes: &[u8]) -> Result<Parts, Failure> {
                 let detail = format!("expected triangles, got {:?}", primitive.mode());
                 return Err(Failure::Read(detail));
             }
-            // Accessors may stand for any number of zeros.
-            let mut accessors = primitive.attributes().map(|(_, accessor)| accessor).chain(primitive.indices());
-            if let Some(accessor) = accessors.find(|accessor| accessor.count() > bytes.len()) {
-                let detail = format!("expected elements of at least a byte, got {}", accessor.count());
-                return Err(Failure::Read(detail));
-            }
+            // Any number of primitives may share an accessor, and one may stand for any number of zeros.
+            let vertices = primitive.get(&gltf::Semantic::Positions).map_or(0, |accessor| accessor.count());
+            let corners = primitive.indices().map_or(vertices, |accessor| accessor.count());
+            parts.room(vertices, corners / 3)?;
             let reader = primitive.reader(|buffer| match buffer.source() {
                 gltf::buffer::Source::Bin => blob,
                 gltf::buffer::Source::Uri(_) => None,
@@ -268,7 +266,6 @@ fn glb(bytes: &[u8]) -> Result<Parts, Failure> {
                 None => (first..first + added as u32).collect(),
             };
             parts.triangles.extend(corners.chunks_exact(3).map(|corners| [corners[0], corners[1], corners[2]]));
-            parts.check()?;
         }
     }
     if !with_normals || parts.normals.len() != parts.positions.len() {

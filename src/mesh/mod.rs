@@ -21,8 +21,8 @@ pub enum MeshError {
     Malformed { format: &'static str, detail: String },
     #[error("expected at least one triangle, got none")]
     Empty,
-    #[error("expected at most {} triangles, got {got} or more", Mesh::MAX_TRIANGLES)]
-    TooMany { got: usize },
+    #[error("expected at most {limit} {what}, got {got} or more")]
+    TooMany { what: &'static str, limit: usize, got: usize },
     #[error("triangle {triangle} names vertex {vertex}, and there are {vertices}")]
     NoSuchVertex { triangle: usize, vertex: u32, vertices: usize },
     #[error("vertex {vertex} is not at a finite place")]
@@ -30,8 +30,10 @@ pub enum MeshError {
 }
 
 impl Mesh {
-    /// Triangles at most: 100 MiB or so in memory.
-    pub const MAX_TRIANGLES: usize = 2_000_000;
+    /// Triangles at most.
+    pub const MAX_TRIANGLES: usize = 1_000_000;
+    /// Vertices at most: each triangle may have its own.
+    pub const MAX_VERTICES: usize = 3 * Self::MAX_TRIANGLES;
 
     /// From positions (mm), normals (empty: each vertex gets the mean of its triangles' by their areas) and triangles.
     ///
@@ -45,9 +47,7 @@ impl Mesh {
         if triangles.is_empty() {
             return Err(MeshError::Empty);
         }
-        if triangles.len() > Self::MAX_TRIANGLES {
-            return Err(MeshError::TooMany { got: triangles.len() });
-        }
+        Self::room(positions.len(), triangles.len())?;
         let vertices = positions.len();
         for (triangle, corners) in triangles.iter().enumerate() {
             if let Some(&vertex) = corners.iter().find(|vertex| **vertex as usize >= vertices) {
@@ -65,6 +65,18 @@ impl Mesh {
             mesh.normals = mesh.mean_normals();
         }
         Ok(mesh)
+    }
+
+    /// Whether so many vertices and triangles may be: of a mesh, and of all in one frame.
+    ///
+    /// # Errors
+    /// [`MeshError::TooMany`].
+    pub fn room(vertices: usize, triangles: usize) -> Result<(), MeshError> {
+        let counts = [("vertices", Self::MAX_VERTICES, vertices), ("triangles", Self::MAX_TRIANGLES, triangles)];
+        match counts.into_iter().find(|(_, limit, got)| got > limit) {
+            Some((what, limit, got)) => Err(MeshError::TooMany { what, limit, got }),
+            None => Ok(()),
+        }
     }
 
     /// mm, in the mesh's own space.
@@ -127,7 +139,8 @@ mod tests {
         assert_eq!(made(&SQUARE, &[[0, 1, 2], [0, 4, 1]]), wrong);
         assert_eq!(made(&[Vec3::X, Vec3::NAN, Vec3::Y], &[[0, 1, 2]]), MeshError::NotFinite { vertex: 1 });
         let many = vec![[0, 1, 2]; Mesh::MAX_TRIANGLES + 1];
-        assert_eq!(made(&SQUARE, &many), MeshError::TooMany { got: Mesh::MAX_TRIANGLES + 1 });
+        let too_many = MeshError::TooMany { what: "triangles", limit: Mesh::MAX_TRIANGLES, got: many.len() };
+        assert_eq!(made(&SQUARE, &many), too_many);
     }
 
     #[test]

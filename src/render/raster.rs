@@ -55,16 +55,12 @@ pub fn draw(
     let (width, height) = view.size();
     let size = [width as usize, height as usize];
     let placed: Vec<_> = solids.iter().map(|solid| Placed::new(solid, view)).collect();
-    let mut bands = vec![vec![]; size[1].div_ceil(BAND_HEIGHT)];
+    let mut visible = vec![];
     for (solid, placed) in placed.iter().enumerate() {
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
-        for (triangle, [first, last]) in placed.rows(size) {
-            for band in &mut bands[first / BAND_HEIGHT..=last / BAND_HEIGHT] {
-                band.push((solid as u32, triangle));
-            }
-        }
+        visible.extend(placed.rows(size).into_iter().map(|(triangle, rows)| (solid as u32, triangle, rows)));
     }
     let cue = settings.depth_cueing.map(|cueing| (cueing, AxialDepth::new(view, volume)));
     let shade = |hit: &Hit, at: DVec2| {
@@ -86,13 +82,15 @@ pub fn draw(
     let mut pixels = ground[..channels].repeat(size[0] * size[1]);
     let rows = size[0] * BAND_HEIGHT;
     let out = distances.par_chunks_mut(rows).zip(pixels.par_chunks_mut(rows * channels));
-    out.zip(bands).enumerate().try_for_each(|(band, ((distances, pixels), triangles))| {
-        if cancel.is_cancelled() {
-            return Err(RenderError::Cancelled);
-        }
+    out.enumerate().try_for_each(|(band, (distances, pixels))| {
         let first = band * BAND_HEIGHT;
+        let rows = [first as u32, (first + distances.len() / size[0] - 1) as u32];
         let mut hits: Vec<Option<Hit>> = vec![None; distances.len()];
-        for (solid, triangle) in triangles {
+        for &(solid, triangle, _) in visible.iter().filter(|(.., [top, bottom])| *top <= rows[1] && *bottom >= rows[0])
+        {
+            if cancel.is_cancelled() {
+                return Err(RenderError::Cancelled);
+            }
             placed[solid as usize].fill(view, (solid, triangle), first, size[0], &mut hits);
         }
         let out = distances.iter_mut().zip(pixels.chunks_exact_mut(channels));
@@ -159,10 +157,10 @@ impl<'a> Placed<'a> {
     }
 
     /// The triangles that may cover the centres of pixels, with the first and the last of their rows.
-    fn rows(&self, [width, height]: [usize; 2]) -> Vec<(u32, [usize; 2])> {
+    fn rows(&self, [width, height]: [usize; 2]) -> Vec<(u32, [u32; 2])> {
         let rows = |triangle: u32| {
             let [columns, rows] = self.extent(triangle, [width, height])?;
-            (columns[0] <= columns[1] && rows[0] <= rows[1]).then_some((triangle, rows))
+            (columns[0] <= columns[1] && rows[0] <= rows[1]).then_some((triangle, rows.map(|row| row as u32)))
         };
         (0..self.solid.mesh.triangles().len() as u32).into_par_iter().filter_map(rows).collect()
     }

@@ -21,6 +21,7 @@ use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
 use crate::classify::labels::Labels;
 use crate::encode::{Format, encode};
+use crate::mesh::Mesh;
 use crate::render::raster::Solid;
 use crate::render::{self, Background, Image, Scene, Stage, Timings};
 
@@ -177,7 +178,10 @@ impl Asked {
                 Err(Problem::refused(format!("/geometry/{index}/mesh"), detail))
             }
         };
-        let solids = frame.geometry.iter().enumerate().map(solid).collect::<Result<_, Problem>>()?;
+        let solids = frame.geometry.iter().enumerate().map(solid).collect::<Result<Arc<[Solid]>, Problem>>()?;
+        let count = |of: fn(&Mesh) -> usize| solids.iter().map(|solid| of(&solid.mesh)).sum();
+        Mesh::room(count(|mesh| mesh.positions().len()), count(|mesh| mesh.triangles().len()))
+            .map_err(|error| Problem::refused("/geometry", error.to_string()))?;
         let etag = etag(&volume, labels.as_deref(), &frame, format);
         Ok(Self { arrived, id, volume, frame, labels, solids, format, picture: None, place: None, etag })
     }

@@ -61,13 +61,17 @@ fn ply() -> Vec<u8> {
     bytes
 }
 
-/// A binary glTF of these nodes; mesh 0 is the square.
+/// A binary glTF of these nodes, of which the first is the scene's; mesh 0 is the square.
 fn glb(nodes: &str, uri: &str) -> Vec<u8> {
+    glb_of_nodes("0", nodes, uri)
+}
+
+fn glb_of_nodes(of_scene: &str, nodes: &str, uri: &str) -> Vec<u8> {
     let mut binary: Vec<u8> = CORNERS.iter().flatten().flat_map(|n| n.to_le_bytes()).collect();
     binary.extend(TRIANGLES.iter().flatten().flat_map(|n| (*n as u16).to_le_bytes()));
     let length = binary.len();
     let mut json = format!(
-        r#"{{"asset": {{"version": "2.0"}}, "scene": 0, "scenes": [{{"nodes": [0]}}], "nodes": [{nodes}],
+        r#"{{"asset": {{"version": "2.0"}}, "scene": 0, "scenes": [{{"nodes": [{of_scene}]}}], "nodes": [{nodes}],
         "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0}}, "indices": 1}}]}}],
         "buffers": [{{{uri}"byteLength": {length}}}],
         "bufferViews": [{{"buffer": 0, "byteLength": 48}}, {{"buffer": 0, "byteOffset": 48, "byteLength": 12}}],
@@ -131,10 +135,8 @@ fn the_nodes_of_a_scene_have_poses() {
 fn what_is_no_mesh_is_said_to_be_none() {
     let text = |text: &str| text.as_bytes().to_vec();
     let lying = [stl()[..80].to_vec(), u32::MAX.to_le_bytes().to_vec(), stl()[84..].to_vec()].concat();
-    let many = ply_header("binary_little_endian", 4_000_000_000).into_bytes();
     for (format, bytes) in [
         (MeshFormat::Stl, lying),
-        (MeshFormat::Ply, many),
         (MeshFormat::Ply, text("plyplay")),
         (MeshFormat::Obj, text("v 1 2\n")),
         (MeshFormat::Glb, text("glTF")),
@@ -143,6 +145,15 @@ fn what_is_no_mesh_is_said_to_be_none() {
         let refused = read(format, &bytes).unwrap_err();
         assert!(matches!(refused, MeshError::Malformed { .. }), "{format:?}: {refused}");
     }
+    // Numbers that no file of this size holds are refused before memory is taken: elements, and one accessor that many nodes share.
+    let count = 30_000_000;
+    let lying = [ply_header("binary_little_endian", count).as_bytes(), &[0; 52]].concat();
+    let many = read(MeshFormat::Ply, &lying).unwrap_err();
+    assert_eq!(many, MeshError::TooMany { what: "vertices", limit: Mesh::MAX_VERTICES, got: count + 4 });
+    let nodes = vec![r#"{"mesh": 0}"#; 750_001].join(", ");
+    let all: Vec<_> = (0..750_001).map(|n| n.to_string()).collect();
+    let shared = glb_of_nodes(&all.join(", "), &nodes, "");
+    assert!(matches!(read(MeshFormat::Glb, &shared), Err(MeshError::TooMany { .. })));
     assert_eq!(read(MeshFormat::Obj, b"# nothing\n").unwrap_err(), MeshError::Empty);
     assert_eq!(
         read(MeshFormat::Obj, b"v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n").unwrap_err(),
