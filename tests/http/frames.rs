@@ -1,5 +1,6 @@
 //! Frames, their formats, and what keeps clients from asking for them again.
 
+use glam::{DMat3, DVec3};
 use reqwest::Method;
 
 use crate::service::{Running, header, problem};
@@ -94,12 +95,12 @@ async fn an_intermediate_image_comes_with_its_warp_and_without_what_is_empty() {
         let (frame, image): (&[u8], &[u8]) = (&frame, &image);
         assert!((10..40).contains(&width) && (10..40).contains(&height), "{width} x {height}");
         assert_eq!(image.len(), width * height * 3);
-        // What is drawn is around the middle of either image.
-        let row = |row: usize, u: f64, v: f64| warp[3 * row] * u + warp[3 * row + 1] * v + warp[3 * row + 2];
-        let (u, v) = (width as f64 / 2.0, height as f64 / 2.0);
-        let [x, y] = [0, 1].map(|axis| row(axis, u, v) / row(2, u, v));
-        assert!((x - 30.0).abs() < 1.5 && (y - 20.0).abs() < 1.5, "{x}, {y} by {warp:?}");
-        let middle = image[3 * (height / 2 * width + width / 2)];
+        // Where the frame's middle is, which shows the ball's.
+        let warp = DMat3::from_cols_slice(&warp).transpose();
+        let at = warp.inverse() * DVec3::new(30.0, 20.0, 1.0);
+        let [u, v] = [at.x / at.z, at.y / at.z];
+        assert!(u > 5.0 && v > 5.0 && u < width as f64 - 5.0 && v < height as f64 - 5.0, "{u}, {v} by {warp:?}");
+        let middle = image[3 * (v as usize * width + u as usize)];
         assert!(middle > 20 && middle.abs_diff(frame[3 * (20 * 60 + 30)]) < 9, "{middle}");
     }
     let high = ask(r#", "quality": "high""#, "intermediate").await;

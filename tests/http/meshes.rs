@@ -88,9 +88,8 @@ async fn meshes_stand_in_the_volume() {
         ([at(20, 20), at(12, 20), at(1, 1)], etag)
     };
     let at = |y: f64| json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, y, 0, 1]);
-    let red = vec![255, 0, 0];
     let ([middle, ..], without) = ask(json!([]), json!({})).await;
-    assert_eq!(middle, red);
+    assert!(middle[0] > 250 && middle[1] < 5 && middle[2] < 5, "{middle:?}");
     for more in [
         json!({}),
         json!({"quality": "high"}),

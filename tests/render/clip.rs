@@ -144,7 +144,9 @@ fn what_lies_between_two_slices_is_left() {
                     let sum = |image: &Image| f64::from(alphas(image).sum::<i32>());
                     let ratio = sum(&images[0]) / sum(&images[1]);
                     let name = (settings.algorithm, settings.quality, projection, azimuth, elevation);
-                    assert!((ratio - 1.0).abs() < 0.15, "{name:?}: {ratio} of it");
+                    // Of a ball of four pixels the warp makes more or less.
+                    let most = if settings.quality == Quality::High { 0.1 } else { 0.25 };
+                    assert!((ratio - 1.0).abs() < most, "{name:?}: {ratio} of it");
                 }
             }
         }
