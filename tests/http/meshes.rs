@@ -101,11 +101,11 @@ async fn meshes_stand_in_the_volume() {
         // In front of the ball, which is in the middle of the volume, and behind it.
         let ([middle, beside, corner], etag) = ask(json!([{"mesh": id, "color": "#0000ff"}]), more.clone()).await;
         assert_eq!((middle, corner), (vec![0, 0, 255], vec![0, 0, 0]), "{more}");
-        assert!(beside[0] > 250, "{more}: {beside:?}");
+        assert!(beside[0] > 220 && beside[2] < 5, "{more}: {beside:?}");
         assert_ne!(etag, without);
         let ([middle, ..], moved) =
             ask(json!([{"mesh": id, "color": "#0000ff", "pose": at(22.0)}]), more.clone()).await;
-        assert!(middle[0] > 250 && middle[2] < 5, "{more}: {middle:?}");
+        assert!(middle[0] > 220 && middle[2] < 5, "{more}: {middle:?}");
         assert_ne!(etag, moved);
     }
     let ground = json!({"image": {"background": "transparent"}});
