@@ -127,7 +127,7 @@ fn what_lies_between_two_slices_is_left() {
     let ball = Clip { halves: vec![], balls: vec![Ball::new(middle, 2.0)] };
     for (shape, least) in [(shape(DVec3::new(24.0, 20.0, 1.0)), 30), (ball, 8)] {
         for projection in [Projection::Parallel, Projection::Perspective] {
-            for (azimuth, elevation) in [(0.0, 90.0), (30.0, 50.0), (200.0, -65.0), (0.0, 0.0), (40.0, 15.0)] {
+            for (azimuth, elevation) in [(0.0, 90.0), (30.0, 83.0), (200.0, -85.0), (0.0, 0.0), (40.0, 15.0)] {
                 let camera = orbit(projection, azimuth, elevation);
                 for settings in [
                     high(),
@@ -135,7 +135,7 @@ fn what_lies_between_two_slices_is_left() {
                     plain(Algorithm::Classified),
                     plain(Algorithm::FastClassification),
                 ] {
-                    if settings.quality != Quality::High && elevation < 40.0 && elevation > -40.0 {
+                    if settings.quality != Quality::High && f64::abs(elevation) < 80.0 {
                         continue;
                     }
                     let images = frame_and_truth(&scene, &camera, &shape, &settings);
