@@ -144,7 +144,8 @@ for (const [name, hash] of Object.entries(VIEWS)) {
     }
     const { mean, most } = await apart(page, mine, theirs);
     console.log(`${name}: ${mean.toFixed(3)} in the mean, ${most} at most, of 255`);
-    assert.ok(mean < 0.5 && most < 40, `${mean} ${most}`);
+    // Transparent pictures are rounded to 8 bits twice, before the warp and after it.
+    assert.ok(mean < (state.background === 'transparent' ? 1 : 0.5) && most < 40, `${mean} ${most}`);
     assert.deepEqual(errors, []);
     await close();
   });
