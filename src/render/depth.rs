@@ -8,7 +8,7 @@
 //! become stairs nor silhouettes become sheets.
 //!
 //! What comes of it is where each ray ends, in slices ([`Limits`]); the kernels then treat it as one more clip plane
-//! ([`Factorization::cut`]). Rays in image order ask the buffer itself.
+//! ([`Factorization::left`]). Rays in image order ask the buffer itself.
 
 use std::fmt;
 use std::ops::Range;
