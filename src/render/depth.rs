@@ -96,10 +96,6 @@ impl SceneDepth {
         let (x, y) = (at.x.floor(), at.y.floor());
         let (fx, fy) = ((at.x - x) as f32, (at.y - y) as f32);
         let (x, y) = (x as isize, y as isize);
-        let goes_on = |[before, a, b, after]: [f32; 4]| {
-            let beside = (a - before).abs().max((after - b).abs());
-            (b - a).abs() <= TEAR * beside + FLAT && a.is_finite() && b.is_finite()
-        };
         let row = |y: isize| goes_on([-1, 0, 1, 2].map(|n| get(x + n, y)));
         let column = |x: isize| goes_on([-1, 0, 1, 2].map(|n| get(x, y + n)));
         if row(y) && row(y + 1) && column(x) && column(x + 1) {
@@ -110,6 +106,12 @@ impl SceneDepth {
             get(x + isize::from(fx >= 0.5), y + isize::from(fy >= 0.5))
         }
     }
+}
+
+/// Whether a surface goes on between the middle two of four neighbours.
+fn goes_on([before, a, b, after]: [f32; 4]) -> bool {
+    let beside = (a - before).abs().max((after - b).abs());
+    (b - a).abs() <= TEAR * beside + FLAT && a.is_finite() && b.is_finite()
 }
 
 /// Pixels of a word of masks.
@@ -249,36 +251,53 @@ impl Limits {
 }
 
 /// The inverse warp of a depth buffer: what of it the pixels of an intermediate image meet.
-pub(super) struct InverseWarp<'a> {
+#[derive(Debug)]
+pub struct InverseWarp<'a> {
     depth: &'a SceneDepth,
     view: &'a View,
     factorization: &'a Factorization,
     image_from_sheared: DMat3,
     index_from_world: DMat4,
     size: DVec2,
+    /// By pixel of the intermediate image.
+    ends: Vec<f32>,
 }
 
 impl<'a> InverseWarp<'a> {
     /// `None` where the view has no depth buffer.
     pub fn of(view: &'a View, volume: &Volume, factorization: &'a Factorization) -> Option<Self> {
         let depth = view.depth()?;
-        Some(Self {
+        let mut inverse = Self {
             depth,
             view,
             factorization,
             image_from_sheared: factorization.sheared_from_image.inverse(),
             index_from_world: volume.world_from_index().inverse(),
             size: DVec2::new(depth.width as f64, depth.height as f64),
-        })
+            ends: vec![],
+        };
+        let [width, height] = factorization.size;
+        let end = |at: usize| match inverse.image_point(DVec2::new((at % width) as f64, (at / width) as f64)) {
+            Some(at) => inverse.end_at(at.clamp(DVec2::ZERO, inverse.size)) as f32,
+            None => f32::INFINITY,
+        };
+        inverse.ends = (0..width * height).into_par_iter().map(end).collect();
+        Some(inverse)
     }
 
     /// Where the ray of pixel (u, v) ends, in slices from the front one on; infinite where it goes on.
-    pub fn end(&self, u: usize, v: usize) -> f64 {
-        let homogeneous = self.image_from_sheared * DVec3::new(u as f64, v as f64, 1.0);
-        if homogeneous.z <= 0.0 {
-            return f64::INFINITY;
-        }
-        let at = (homogeneous.truncate() / homogeneous.z).clamp(DVec2::ZERO, self.size);
+    pub fn end(&self, u: usize, v: usize) -> f32 {
+        self.ends[v * self.factorization.size[0] + u]
+    }
+
+    /// The final image's coordinates of a place on the intermediate one; `None` where that is behind the eye.
+    pub fn image_point(&self, sheared: DVec2) -> Option<DVec2> {
+        let homogeneous = self.image_from_sheared * sheared.extend(1.0);
+        (homogeneous.z > 0.0).then(|| homogeneous.truncate() / homogeneous.z)
+    }
+
+    /// Where the ray through a point of the final image ends.
+    pub fn end_at(&self, at: DVec2) -> f64 {
         let distance = self.depth.between(at);
         if !distance.is_finite() {
             return f64::INFINITY;
@@ -292,9 +311,28 @@ impl<'a> InverseWarp<'a> {
     pub fn limits(&self) -> Limits {
         Limits::new(self.factorization.size, |v, row, _| {
             for (u, stretch) in row.iter_mut().enumerate() {
-                *stretch = Stretch { to: self.end(u, v) as f32, ..Stretch::ALL };
+                *stretch = Stretch { to: self.end(u, v), ..Stretch::ALL };
             }
         })
+    }
+
+    /// Whether what ends the rays is torn among the pixels from (u, v) to (u + 1, v + 1). What lies beyond the volume is not told
+    /// apart.
+    pub fn is_torn(&self, u: usize, v: usize) -> bool {
+        let [width, height] = self.factorization.size;
+        let get = |du: usize, dv: usize| {
+            // Of -1, 0, 1, 2 from the first pixel on.
+            let at = |first: usize, n: usize, size: usize| (first + n).saturating_sub(1).min(size - 1);
+            self.within_volume(self.end(at(u, du, width), at(v, dv, height)))
+        };
+        let row = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(m, n)));
+        let column = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(n, m)));
+        !(row(1) && row(2) && column(1) && column(2))
+    }
+
+    /// An end, or a slice beyond the volume where it is farther away than that.
+    pub fn within_volume(&self, end: f32) -> f32 {
+        end.clamp(-1.0, self.factorization.dims[2] as f32)
     }
 }
 

@@ -163,14 +163,7 @@ impl IntermediateImage {
     pub fn write(&self, v: usize, us: Range<usize>, background: &Background, out: &mut [u8]) {
         let pixels = &self.pixels[v * self.size[0]..][us];
         for (pixel, out) in pixels.iter().zip(out.chunks_exact_mut(background.channels())) {
-            // Straight alpha: rounded once.
-            let whole = if out.len() == 4 { i32::from(pixel[3].max(1)) } else { i32::from(ONE) };
-            for (component, out) in pixel.iter().zip(&mut out[..3]) {
-                *out = ((i32::from(*component) * 255 + whole / 2) / whole).min(255) as u8;
-            }
-            if let Some(alpha) = out.get_mut(3) {
-                *alpha = ((pixel[3] + (1 << (ONE_SHIFT - 1))) >> ONE_SHIFT) as u8;
-            }
+            write_pixel(pixel, out);
         }
     }
 
@@ -283,6 +276,18 @@ impl Strip<'_> {
             }
         }
         buffer.open = false;
+    }
+}
+
+/// Writes a pixel as an 8-bit one, with straight alpha where there is room for it.
+pub fn write_pixel(pixel: &Fixed, out: &mut [u8]) {
+    // Straight alpha: rounded once.
+    let whole = if out.len() == 4 { i32::from(pixel[3].max(1)) } else { i32::from(ONE) };
+    for (component, out) in pixel.iter().zip(&mut out[..3]) {
+        *out = ((i32::from(*component) * 255 + whole / 2) / whole).min(255) as u8;
+    }
+    if let Some(alpha) = out.get_mut(3) {
+        *alpha = ((pixel[3] + (1 << (ONE_SHIFT - 1))) >> ONE_SHIFT) as u8;
     }
 }
 

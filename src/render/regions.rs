@@ -214,7 +214,7 @@ impl Layers {
                     span = cut(span, factorization.dims[axis] as f64 - start[axis], -step[axis]);
                 }
                 let [enter, leave] = span;
-                let end = depth.map_or(f64::INFINITY, |depth| depth.end(u, v));
+                let end = depth.map_or(f64::INFINITY, |depth| depth.end(u, v).into());
                 let before = found.pieces.len();
                 pieces(&shapes, start, step, [enter, leave.min(end)], |within, [from, to]| {
                     let from = if from > enter { from as f32 } else { f32::NEG_INFINITY };

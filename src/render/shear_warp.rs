@@ -35,9 +35,13 @@ pub(super) fn frame(
 
     // Shear, resample and composite the slices into an intermediate image for each part.
     let mut timings = Timings { shade: start.elapsed(), ..Timings::default() };
-    let mut images = vec![];
+    let mut layers = vec![];
     for factorization in &parts {
-        images.push(part(scene, view, factorization, settings, regions, &mut timings, cancel)?);
+        let depth = InverseWarp::of(view, scene.prepared.volume(), factorization);
+        layers.push((
+            part(scene, view, (factorization, depth.as_ref()), settings, regions, &mut timings, cancel)?,
+            depth,
+        ));
     }
     let composited = start.elapsed();
 
@@ -45,8 +49,10 @@ pub(super) fn frame(
     let (width, height) = view.size();
     let channels = settings.background.channels();
     let image_size = [width, height].map(|side| side as usize);
-    let parts: Vec<_> =
-        parts.iter().zip(&images).map(|(factorization, image)| warp::Part { factorization, image }).collect();
+    let with_layers = parts.iter().zip(&layers);
+    let parts: Vec<_> = with_layers
+        .map(|(factorization, (image, depth))| warp::Part { factorization, image, depth: depth.as_ref() })
+        .collect();
     let unwarped = match (settings.stage, &parts[..]) {
         (Stage::Intermediate, [part]) => warp::unwarped(part, &settings.background, image_size),
         _ => None,
@@ -70,7 +76,7 @@ pub(super) fn frame(
 fn part(
     scene: &Scene<'_>,
     view: &View,
-    factorization: &Factorization,
+    (factorization, depth): (&Factorization, Option<&InverseWarp<'_>>),
     settings: &Settings,
     regions: &[Region<'_>],
     timings: &mut Timings,
@@ -79,7 +85,6 @@ fn part(
     let start = Instant::now();
     let volume = scene.prepared.volume();
     let behind = settings.background.behind();
-    let depth = InverseWarp::of(view, volume, factorization);
     let cue = settings.depth_cueing.as_ref().map(|cueing| Cue::new(cueing, view, volume, factorization));
     if regions.is_empty() {
         let tables = Tables::new(scene, settings, factorization);
@@ -91,7 +96,7 @@ fn part(
 
     // Where regions look otherwise, layer behind layer, in this image already: a ray's pieces are blended before
     // rays are. One layer is over the background at once.
-    let layers = Layers::new(volume, factorization, depth.as_ref(), &Shape::of(regions), cancel)?;
+    let layers = Layers::new(volume, factorization, depth, &Shape::of(regions), cancel)?;
     let all = layers.which();
     let ground = if all.len() == 1 { behind } else { Vec4::ZERO };
     let mut image = IntermediateImage::blank(factorization.size);

@@ -18,6 +18,7 @@
 //! Where a picture has parts, each pixel is warped from the one that its ray belongs to.
 
 mod lanes;
+mod torn;
 
 use std::ops::Range;
 
@@ -25,6 +26,7 @@ use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use self::lanes::{FRACTION_BITS, LANES, Lanes, Portable, Rgb, Rgba};
+use super::depth::InverseWarp;
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::simd::{self, Kernel};
@@ -49,6 +51,8 @@ const BAND_HEIGHT: usize = 16;
 pub struct Part<'a> {
     pub factorization: &'a Factorization,
     pub image: &'a IntermediateImage,
+    /// What ends its rays, if there is a depth buffer.
+    pub depth: Option<&'a InverseWarp<'a>>,
 }
 
 /// Fills `out`, rows of `width` pixels over `background`.
@@ -69,7 +73,9 @@ pub fn warp(
         }
         simd::dispatch(Band { parts, background, width, first: band * BAND_HEIGHT, rows });
         Ok(())
-    })
+    })?;
+    torn::mend(parts, background, width, out);
+    Ok(())
 }
 
 /// What is left to be done to an intermediate image.

@@ -133,6 +133,34 @@ fn rays_end_at_meshes_in_every_algorithm() {
     }
 }
 
+/// Where some rays end before a bright volume and their neighbours go on into it, no pixel shows a mixture of the two.
+#[test]
+fn a_rim_before_the_volume_is_clean() {
+    let scene = Prepared::new(volume(), medium(0.95, 1.0), 0.0);
+    for (projection, size) in [(Projection::Parallel, SIZE), (Projection::Perspective, [240, 200])] {
+        let volume = scene.prepared.volume();
+        let view = View::new(&orbit(projection, 130.0, -20.0), volume.centre(), volume.radius(), size[0], size[1]);
+        let view = view.unwrap();
+        let before = volume.centre() - view.forward() * 0.9 * volume.radius();
+        let drawn = draw(&[solid(&ball(48), before, 8.0)], &view, volume, &high(), &Cancel::default()).unwrap();
+        let ended: Vec<bool> = drawn.picture.pixels.chunks_exact(4).map(|pixel| pixel[3] > 0).collect();
+        let (without, view) = (view.clone(), view.ending_at(Arc::new(drawn.depth)));
+        let truth = scene.frame(&view, &plain(Algorithm::Raycast));
+        for algorithm in [Algorithm::Preintegrated, Algorithm::Classified] {
+            let [frame, without] = [&view, &without].map(|view| scene.frame(view, &plain(algorithm)));
+            let [mut mixed, mut dark] = [0, 0];
+            for (n, ended) in ended.iter().enumerate() {
+                let [got, truth, without] = [&frame, &truth, &without].map(|image| image.pixels[4 * n + 3]);
+                mixed += usize::from(*ended && got.abs_diff(truth) > 8);
+                dark += usize::from(!ended && got.abs_diff(without) > 8);
+            }
+            let of = ended.iter().filter(|ended| **ended).count();
+            assert!(mixed <= 4, "{projection:?} {algorithm:?}: {mixed} of {of} pixels that have ended show the volume");
+            assert!(dark <= 4, "{projection:?} {algorithm:?}: {dark} beside them do not");
+        }
+    }
+}
+
 #[test]
 fn the_nearest_of_several_is_seen_and_behind_the_eye_is_nothing() {
     let volume = volume();

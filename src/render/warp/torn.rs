@@ -1,0 +1,92 @@
+//! Final pixels between rays that end at opaque geometry and rays that go on.
+//!
+//! The bilinear filter mixes the four rays around a pixel, which is right as long as all of them have seen the same. Along the rim of a
+//! mesh some have ended where others went on, and a mixture of the two is neither what is in front of the mesh nor what is
+//! beside it: over the picture of the mesh it shows as a row of beads. There a pixel takes those of the four that end where its
+//! own ray does.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::Part;
+use crate::render::Background;
+use crate::render::intermediate::{Fixed, write_pixel};
+
+/// Ends that lie no farther apart, in slices, are the same.
+const SAME: f32 = 1.0;
+
+/// Warps the pixels anew that lie between rays with other ends than theirs.
+pub fn mend(parts: &[Part<'_>], background: &Background, width: usize, out: &mut [u8]) {
+    let channels = background.channels();
+    let size = [width, out.len() / (width * channels)];
+    for part in parts {
+        let rows = 0..part.image.size()[1].saturating_sub(1);
+        let mended: Vec<_> = rows.into_par_iter().flat_map_iter(|v| part.mended(v, size)).collect();
+        for ([x, y], pixel) in mended {
+            write_pixel(&pixel, &mut out[(y * width + x) * channels..][..channels]);
+        }
+    }
+}
+
+impl Part<'_> {
+    /// Those between scanlines `v` and `v + 1`, of a picture of `size` pixels.
+    fn mended(&self, v: usize, size: [usize; 2]) -> Vec<([usize; 2], Fixed)> {
+        let Some(depth) = self.depth else { return vec![] };
+        let torn = (0..self.image.size()[0].saturating_sub(1)).filter(|u| depth.is_torn(*u, v));
+        let pixels = torn.flat_map(|u| {
+            let [xs, ys] = self.over([u, v], size);
+            ys.flat_map(move |y| xs.clone().map(move |x| [x, y]))
+                .filter_map(move |at| Some((at, self.mended_pixel(at, [u, v])?)))
+        });
+        pixels.collect()
+    }
+
+    /// The pixels of a picture of `size` that may lie between pixel (u, v) and pixel (u + 1, v + 1).
+    fn over(&self, [u, v]: [usize; 2], size: [usize; 2]) -> [std::ops::Range<usize>; 2] {
+        let Some(depth) = self.depth else { return [0..0, 0..0] };
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for [du, dv] in [[0, 0], [1, 0], [0, 1], [1, 1]] {
+            let Some(at) = depth.image_point(DVec2::new((u + du) as f64, (v + dv) as f64)) else { return [0..0, 0..0] };
+            (low, high) = (low.min(at), high.max(at));
+        }
+        // Centres are at halves; beyond zero a number becomes zero.
+        [0, 1].map(|axis| (low[axis] - 0.5).floor() as usize..((high[axis] + 0.5).ceil() as usize).min(size[axis]))
+    }
+
+    /// Pixel (x, y), if it lies between pixel (u, v) and pixel (u + 1, v + 1) and is to be warped anew.
+    fn mended_pixel(&self, [x, y]: [usize; 2], [u, v]: [usize; 2]) -> Option<Fixed> {
+        let (depth, factorization) = (self.depth?, self.factorization);
+        let centre = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let homogeneous = factorization.sheared_from_image * centre.extend(1.0);
+        let at = homogeneous.truncate() / homogeneous.z;
+        let [low, high] = factorization.extent;
+        let here = at.floor() == DVec2::new(u as f64, v as f64) && at.cmpge(low).all() && at.cmple(high).all();
+        if homogeneous.z <= 0.0 || !here || !factorization.owns(centre) {
+            return None;
+        }
+        let own = depth.within_volume(depth.end_at(centre) as f32);
+        let around = [[u, v], [u + 1, v], [u, v + 1], [u + 1, v + 1]];
+        let apart = around.map(|[u, v]| (depth.within_volume(depth.end(u, v)) - own).abs());
+        let farthest = apart.into_iter().fold(0.0, f32::max);
+        if farthest <= SAME {
+            return None;
+        }
+        let fraction = at - at.floor();
+        let (fu, fv) = (fraction.x as f32, fraction.y as f32);
+        let weights = [(1.0 - fu) * (1.0 - fv), fu * (1.0 - fv), (1.0 - fu) * fv, fu * fv];
+        let (mut sum, mut whole) = ([0.0; 4], 0.0);
+        for (([u, v], apart), weight) in around.into_iter().zip(apart).zip(weights) {
+            if apart > farthest / 2.0 {
+                continue;
+            }
+            // A pixel that is alone among those around it is seen whole, however far away.
+            let weight = weight.max(1e-6);
+            let pixel = self.image.pixels()[v * self.image.size()[0] + u];
+            for (sum, component) in sum.iter_mut().zip(pixel) {
+                *sum += weight * f32::from(component);
+            }
+            whole += weight;
+        }
+        (whole > 0.0).then(|| sum.map(|component| (component / whole).round() as i16))
+    }
+}
