@@ -12,14 +12,18 @@
 //! | y | x | z | y | along x | plane j, row k |
 //! | x | y | z | x | along y | plane j, row k |
 //!
-//! Runs never cross a multiple of 64 voxels, so that a run is a mask in one machine word; the
-//! kernel intersects runs with the pixels that are not opaque yet by bit operations.
+//! Runs never cross a multiple of 64 voxels, so that a run is a mask in one machine word, and have at most 63, so that the pixels
+//! between and beside their voxels are one, too; the kernel intersects them with the pixels that are not opaque yet.
 //!
 //! How the encodings are made: `rle/encode.rs`.
 
 mod encode;
 
 pub use super::marks::WORD;
+
+/// Voxels in a run at most.
+pub(super) const LONGEST_RUN: usize = WORD - 1;
+
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
 use crate::volume::PreparedVolume;
@@ -30,7 +34,7 @@ use crate::volume::PreparedVolume;
 pub struct Run {
     /// Index of the first voxel in the scanline.
     pub start: u16,
-    /// 1..=64.
+    /// 1..=63.
     pub length: u16,
 }
 
@@ -117,6 +121,34 @@ pub struct RunLengthVolume {
     pub(super) along_x: Vec<Plane>,
     /// Scanlines along y: a plane for each z with a row for each x.
     pub(super) along_y: Vec<Plane>,
+    /// By principal axis.
+    shown: [Shown; 3],
+}
+
+/// Which scanlines of the slices along a principal axis hold anything.
+#[derive(Clone, Debug, PartialEq)]
+struct Shown {
+    /// Words of a slice: one more than its scanlines need.
+    words: usize,
+    bits: Vec<u64>,
+}
+
+impl Shown {
+    /// `planes` are as they are stored.
+    fn new(planes: &[Plane], plane_is_slice: bool) -> Self {
+        let rows = planes.first().map_or(0, |plane| plane.rows.len() - 1);
+        let (scanlines, slices) = if plane_is_slice { (rows, planes.len()) } else { (planes.len(), rows) };
+        let words = scanlines.div_ceil(WORD) + 1;
+        let mut bits = vec![0; words * slices];
+        for (plane, Plane { rows, .. }) in planes.iter().enumerate() {
+            for (row, ends) in rows.windows(2).enumerate().filter(|(_, ends)| ends[0] != ends[1]) {
+                debug_assert!(ends[0][0] < ends[1][0], "voxels are in runs");
+                let (j, k) = if plane_is_slice { (row, plane) } else { (plane, row) };
+                bits[k * words + j / WORD] |= 1 << (j % WORD);
+            }
+        }
+        Self { words, bits }
+    }
 }
 
 /// The encoding that one principal axis walks.
@@ -125,6 +157,7 @@ pub struct AxisEncoding<'a> {
     planes: &'a [Plane],
     /// True where planes are slices k; else planes are scanline positions j.
     plane_is_slice: bool,
+    shown: &'a Shown,
 }
 
 impl<'a> AxisEncoding<'a> {
@@ -137,6 +170,14 @@ impl<'a> AxisEncoding<'a> {
         &rows[..rows.len().min(1)]
     }
 
+    /// Which of the scanlines of slice `k` from `j` on hold anything, a bit each, and of 64 at most.
+    #[inline(always)]
+    pub fn shown(&self, j: usize, count: usize, k: usize) -> u64 {
+        let slice = &self.shown.bits[k * self.shown.words..][..self.shown.words];
+        let (word, shift) = (j / WORD, j % WORD);
+        (slice[word] >> shift | slice[word + 1] << 1 << (WORD - 1 - shift)) & (u64::MAX >> (WORD - count))
+    }
+
     /// Scanline `j` of slice `k`.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {
@@ -146,6 +187,12 @@ impl<'a> AxisEncoding<'a> {
 }
 
 impl RunLengthVolume {
+    /// Of planes in both orders.
+    pub(super) fn new(dims: [usize; 3], along_x: Vec<Plane>, along_y: Vec<Plane>) -> Self {
+        let shown = [Shown::new(&along_y, false), Shown::new(&along_x, false), Shown::new(&along_x, true)];
+        Self { dims, along_x, along_y, shown }
+    }
+
     /// Encodes what `tables` (and the gradient opacity of `transfer`) leave visible. `occupied` has a
     /// flag for each leaf of the volume's octree: false only where the whole leaf is transparent.
     pub fn encode(
@@ -160,18 +207,20 @@ impl RunLengthVolume {
     /// What encoding so many voxels, those of the occupied leaves, can take in memory at most.
     pub(super) fn bytes_at_most([nx, ny, nz]: [usize; 3], voxels: u64) -> u64 {
         // A voxel and its factor take 5 bytes, a run 4. Of n voxels v are encoded in at most n - v runs and
-        // one for each word, so that both together take 5 n at most, besides those and the rows.
+        // two for each word, so that both together take 5 n at most, besides those and the rows.
         let order = |length: usize, rows: usize| {
-            let per_row = size_of::<[u32; 2]>() + length.div_ceil(WORD) * size_of::<Run>();
+            let per_row = size_of::<[u32; 2]>() + length.div_ceil(WORD) * 2 * size_of::<Run>();
             5 * voxels + ((rows * nz + nz) * per_row) as u64
         };
-        order(nx, ny) + order(ny, nx)
+        let shown =
+            |scanlines: usize, slices: usize| ((scanlines.div_ceil(WORD) + 1) * slices * size_of::<u64>()) as u64;
+        order(nx, ny) + order(ny, nx) + shown(nz, nx) + shown(nz, ny) + shown(ny, nz)
     }
 
     /// The encoding for a principal axis (0: x, 1: y, 2: z).
     pub fn for_axis(&self, axis: usize) -> AxisEncoding<'_> {
         let planes = if axis == 0 { &self.along_y } else { &self.along_x };
-        AxisEncoding { planes, plane_is_slice: axis == 2 }
+        AxisEncoding { planes, plane_is_slice: axis == 2, shown: &self.shown[axis] }
     }
 
     /// Number of non-transparent voxels.
@@ -186,7 +235,8 @@ impl RunLengthVolume {
 
     /// Bytes in memory, all orders.
     pub fn bytes(&self) -> u64 {
-        self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum()
+        let shown: usize = self.shown.iter().map(|shown| size_of_val(&shown.bits[..])).sum();
+        shown as u64 + self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum::<u64>()
     }
 }
 
@@ -197,7 +247,7 @@ fn runs(word: usize, mut bits: u64) -> impl Iterator<Item = Run> {
             return None;
         }
         let start = bits.trailing_zeros();
-        let length = (!(bits >> start)).trailing_zeros().min(WORD as u32 - start);
+        let length = (!(bits >> start)).trailing_zeros().min(WORD as u32 - start).min(LONGEST_RUN as u32);
         let run = Run { start: (word * WORD) as u16 + start as u16, length: length as u16 };
         bits &= !run.mask();
         Some(run)

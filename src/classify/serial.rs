@@ -6,7 +6,7 @@
 use std::io::{self, Read, Write};
 
 use super::cells::{self, CellRuns};
-use super::rle::{Plane, RunLengthVolume, WORD};
+use super::rle::{LONGEST_RUN, Plane, RunLengthVolume, WORD};
 use crate::volume::Volume;
 use crate::volume::gradient::NO_NORMAL;
 
@@ -37,7 +37,7 @@ pub(super) fn read(volume: &Volume, with_factors: bool, input: &mut impl Read) -
     let mut planes = |length: usize, rows: usize| -> io::Result<Vec<Plane>> {
         (0..nz).map(|_| read_plane(input, length, rows, last_code, with_factors)).collect()
     };
-    Ok(RunLengthVolume { dims, along_x: planes(nx, ny)?, along_y: planes(ny, nx)? })
+    Ok(RunLengthVolume::new(dims, planes(nx, ny)?, planes(ny, nx)?))
 }
 
 /// Writes the runs of cells.
@@ -96,7 +96,8 @@ fn check_plane(plane: &Plane, length: usize, last_code: u16) -> io::Result<()> {
         for run in &plane.runs[run as usize..run_end as usize] {
             let (start, count) = (usize::from(run.start), usize::from(run.length));
             let end = start + count;
-            expect(count > 0 && start >= next && end <= length && start / WORD == (end - 1) / WORD, "a wrong run")?;
+            let one_word = (1..=LONGEST_RUN).contains(&count) && start / WORD == (end - 1) / WORD;
+            expect(one_word && start >= next && end <= length, "a wrong run")?;
             (next, covered) = (end, covered + count);
         }
         expect(covered == (voxel_end - voxel) as usize, "runs that do not match their voxels")?;

@@ -69,7 +69,7 @@ impl<'a, T: Code> Encoder<'a, T> {
         let dims @ [_, _, nz] = self.scanlines.dims();
         let plane = |z| simd::dispatch(EncodePlane { encoder: self, z });
         let (along_x, along_y) = (0..nz).into_par_iter().map(plane).unzip();
-        RunLengthVolume { dims, along_x, along_y }
+        RunLengthVolume::new(dims, along_x, along_y)
     }
 }
 

@@ -30,7 +30,7 @@ mod scaled;
 mod scaled_voxels;
 pub mod slabs;
 pub mod sources;
-mod spans;
+mod touched;
 pub mod voxels;
 
 use glam::Vec4;

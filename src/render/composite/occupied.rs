@@ -78,6 +78,12 @@ impl LeafRows {
         Self { bits, words, rows, dims: [nj, nk] }
     }
 
+    /// Scanlines of voxels in a slice.
+    #[inline(always)]
+    pub fn scanlines(&self) -> usize {
+        self.dims[0]
+    }
+
     /// The voxels (or cells) of scanline `j` of slice `k`. Bits past the scanline's end may be set.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> &[u64] {

@@ -8,7 +8,6 @@ use glam::Vec4;
 
 use super::samples::BLOCK;
 use super::sources::{ShadedRow, VoxelSource};
-use super::spans::Spans;
 use super::{WORD, run_mask};
 use crate::render::material::{Light, SliceMaterial};
 
@@ -22,11 +21,11 @@ pub struct Row {
     /// Non-transparent voxels (or, until they are classified, those that may be), a bit each.
     pub marked: Vec<u64>,
     /// Voxels whose marks are known to be of drawn ones.
-    classified: Vec<u64>,
+    pub classified: Vec<u64>,
     /// Voxels to shade.
     asked: Vec<u64>,
-    /// Words that may hold shaded voxels, and which ones.
-    shaded: Vec<u64>,
+    /// Voxels that are there.
+    pub shaded: Vec<u64>,
     empty: bool,
 }
 
@@ -45,29 +44,27 @@ impl Row {
         }
     }
 
-    /// Forgets what was there: zeros come back where voxels had been shaded.
+    /// Forgets what was there, for scanline `j`: zeros come back where voxels had been shaded.
     #[inline(always)]
-    fn clear(&mut self) {
-        if !self.empty {
-            for (word, bits) in self.shaded.iter_mut().enumerate() {
-                if *bits != 0 {
-                    let (first, end) = (bits.trailing_zeros() as usize, WORD - bits.leading_zeros() as usize);
-                    self.voxels[word * WORD + first..word * WORD + end].fill(Vec4::ZERO);
-                    *bits = 0;
-                }
+    pub fn make_room(&mut self, j: usize) {
+        for (word, bits) in self.shaded.iter_mut().enumerate() {
+            if *bits != 0 {
+                let (first, end) = (bits.trailing_zeros() as usize, WORD - bits.leading_zeros() as usize);
+                self.voxels[word * WORD + first..word * WORD + end].fill(Vec4::ZERO);
+                *bits = 0;
             }
-            self.marked.fill(0);
-            self.classified.fill(0);
         }
-        self.empty = true;
-        self.j = None;
+        self.j = Some(j);
     }
 
     /// Becomes scanline `j`, with nothing shaded yet.
     #[inline(always)]
     pub fn enter<V: VoxelSource>(&mut self, source: V, j: usize, scanline: &V::Scanline) {
-        self.clear();
-        self.j = Some(j);
+        self.make_room(j);
+        if !self.empty {
+            self.marked.fill(0);
+            self.classified.fill(0);
+        }
         self.empty = source.is_empty(scanline);
         if !self.empty {
             source.mark(scanline, &mut self.marked);
@@ -130,34 +127,38 @@ impl RowBuffers {
         self.lower.j = None;
     }
 
-    /// Enters scanline `j` and, where pixels lie between two scanlines, `j + 1`.
+    /// Makes room for scanline `j` and, where pixels lie between two scanlines, `j + 1`.
     #[inline(always)]
-    pub fn enter<V: VoxelSource>(&mut self, source: V, j: usize, upper: &V::Scanline, lower: Option<&V::Scanline>) {
-        if self.lower.j == Some(j) {
-            std::mem::swap(&mut self.upper, &mut self.lower);
-        } else {
-            self.upper.enter(source, j, upper);
+    pub fn enter<V: VoxelSource>(&mut self, j: usize, has_lower: bool) {
+        let enter = |row: &mut Row, j| {
+            row.make_room(j);
+            if V::CLASSIFIES {
+                row.classified.fill(0);
+            }
+        };
+        if self.upper.j != Some(j) {
+            if self.lower.j == Some(j) {
+                std::mem::swap(&mut self.upper, &mut self.lower);
+            } else {
+                enter(&mut self.upper, j);
+            }
         }
-        self.has_lower = lower.is_some();
-        match lower {
-            Some(lower) => self.lower.enter(source, j + 1, lower),
-            None => self.lower.clear(),
+        if has_lower && self.lower.j != Some(j + 1) {
+            enter(&mut self.lower, j + 1);
         }
+        self.has_lower = has_lower;
     }
 
-    /// Takes back the marks of voxels that the spans' pixels touch and that are not drawn.
+    /// The upper scanline's buffer.
     #[inline(always)]
-    pub fn classify<V: VoxelSource>(
-        &mut self,
-        source: V,
-        upper: &V::Scanline,
-        lower: Option<&V::Scanline>,
-        spans: &Spans,
-    ) {
-        self.upper.classify(source, upper, spans.touched());
-        if let Some(lower) = lower {
-            self.lower.classify(source, lower, spans.touched());
-        }
+    pub fn upper(&mut self) -> &mut Row {
+        &mut self.upper
+    }
+
+    /// The lower one's.
+    #[inline(always)]
+    pub fn lower(&mut self) -> &mut Row {
+        &mut self.lower
     }
 
     /// True where pixels lie between two scanlines.
@@ -166,31 +167,9 @@ impl RowBuffers {
         self.has_lower
     }
 
-    /// Non-transparent voxels of either scanline, by word.
+    /// The voxels of both scanlines.
     #[inline(always)]
-    pub fn marked(&self, word: usize) -> u64 {
-        self.upper.marked[word] | self.lower.marked[word]
-    }
-
-    /// Shades the voxels of slice `k` that the spans' pixels touch.
-    #[inline(always)]
-    pub fn shade<V: VoxelSource, H: Light, const FACTORED: bool>(
-        &mut self,
-        source: V,
-        upper: &V::Scanline,
-        lower: Option<&V::Scanline>,
-        (spans, k): (&Spans, usize),
-        material: SliceMaterial<'_, H, FACTORED>,
-    ) {
-        self.upper.shade(source, upper, spans.touched(), k, material);
-        if let Some(lower) = lower {
-            self.lower.shade(source, lower, spans.touched(), k, material);
-        }
-    }
-
-    /// `length` voxels of both scanlines from voxel `i` on.
-    #[inline(always)]
-    pub fn voxels(&self, i: usize, length: usize) -> (&[Vec4], &[Vec4]) {
-        (&self.upper.voxels[i..i + length], &self.lower.voxels[i..i + length])
+    pub fn voxels(&self) -> [&[Vec4]; 2] {
+        [&self.upper.voxels, &self.lower.voxels]
     }
 }

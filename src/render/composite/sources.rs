@@ -9,10 +9,11 @@
 
 use glam::Vec4;
 
-use super::WORD;
 use super::occupied::LeafRows;
-use super::run_mask;
+use super::rows::Row;
 use super::samples::{BLOCK, VoxelRows};
+use super::touched::{Open, Touched};
+use super::{WORD, run_mask};
 use crate::classify::CodeTables;
 use crate::classify::rle::{AxisEncoding, Scanline, Voxel};
 use crate::render::factorization::{Factorization, PERMUTATIONS};
@@ -39,6 +40,23 @@ pub trait VoxelSource: Copy + Send + Sync {
 
     /// True where nothing would be marked.
     fn is_empty(&self, scanline: &Self::Scanline) -> bool;
+
+    /// Which of up to 64 scanlines from `j` on of slice `k`, as far as there are any, are not empty; a bit each.
+    fn shown(&self, j: usize, count: usize, k: usize) -> u64;
+
+    /// True where an open pixel touches a voxel that may be drawn.
+    fn touches(&self, scanline: &Self::Scanline, open: &Open<'_>) -> bool;
+
+    /// Adds the open pixels that touch drawn voxels to `touched`, and shades the voxels of slice `k` that they touch (or some
+    /// more) into `row`, unless they are there.
+    fn touch<H: Light, const FACTORED: bool>(
+        &self,
+        scanline: &Self::Scanline,
+        open: &Open<'_>,
+        touched: &mut Touched,
+        row: (&mut Row, [usize; 2]),
+        material: SliceMaterial<'_, H, FACTORED>,
+    );
 
     /// Sets the bits of voxels that may be drawn.
     fn mark(&self, scanline: &Self::Scanline, marked: &mut [u64]);
@@ -95,6 +113,47 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
     #[inline(always)]
     fn is_empty(&self, scanline: &Scanline<'a>) -> bool {
         scanline.runs.is_empty()
+    }
+
+    #[inline(always)]
+    fn shown(&self, j: usize, count: usize, k: usize) -> u64 {
+        AxisEncoding::shown(self, j, count, k)
+    }
+
+    #[inline(always)]
+    fn touches(&self, scanline: &Scanline<'a>, open: &Open<'_>) -> bool {
+        scanline.runs.iter().any(|run| open.around(run.start.into(), run.length.into()).pixels != 0)
+    }
+
+    /// Per run the stretch from the first to the last voxel that is touched and not there yet.
+    #[inline(always)]
+    fn touch<H: Light, const FACTORED: bool>(
+        &self,
+        scanline: &Scanline<'a>,
+        open: &Open<'_>,
+        touched: &mut Touched,
+        (row, at): (&mut Row, [usize; 2]),
+        material: SliceMaterial<'_, H, FACTORED>,
+    ) {
+        let mut before = 0;
+        for run in scanline.runs {
+            let (start, length) = (usize::from(run.start), usize::from(run.length));
+            let around = open.around(start, length);
+            if around.pixels != 0 {
+                touched.add(around.first, around.pixels);
+                let shaded = &mut row.shaded[run.word()];
+                let missing = around.voxels(length) & !(*shaded >> (start % WORD));
+                if missing != 0 {
+                    let (from, to) = (missing.trailing_zeros() as usize, WORD - missing.leading_zeros() as usize);
+                    *shaded |= run_mask(from, to - from) << (start % WORD);
+                    let stored = before + from..before + to;
+                    let factors = if FACTORED { &scanline.factors[stored.clone()] } else { &[] };
+                    let out = &mut row.voxels[start + from..start + to];
+                    material.colors(&scanline.voxels[stored], factors, [start + from, at[0], at[1]], out);
+                }
+            }
+            before += length;
+        }
     }
 
     #[inline(always)]
@@ -256,6 +315,39 @@ impl<T: Code> Unencoded<'_, T> {
     }
 }
 
+impl<'a, T: Code> Unencoded<'a, T> {
+    /// Shades the voxels of one word that are asked for and not shaded yet.
+    #[inline(always)]
+    fn shade_word<H: Light, const FACTORED: bool>(
+        &self,
+        &(j, k, _): &(usize, usize, &'a [u64]),
+        (word, asked): (usize, u64),
+        row: ShadedRow<'_>,
+        material: SliceMaterial<'_, H, FACTORED>,
+    ) {
+        let codes = self.voxels.row(j, k);
+        let shaded = &mut row.shaded[word];
+        let mut missing = asked & !*shaded;
+        *shaded |= missing;
+        while missing != 0 {
+            let i = word * WORD + missing.trailing_zeros() as usize;
+            if H::BLOCKS {
+                let first = i / BLOCK * BLOCK;
+                missing &= !run_mask(first % WORD, BLOCK);
+                *shaded |= run_mask(first % WORD, BLOCK);
+                self.shade_block([first, j, k], &mut row.voxels[first..first + BLOCK], material);
+            } else {
+                missing &= missing - 1;
+                let normal = if H::LIT { self.normals.at([i, j, k]) } else { 0 };
+                let [[scale], [addend]] = material.light(&[normal], [i, j, k]);
+                let code = codes[i].into();
+                let factor = if FACTORED { self.factor(code, [i, j, k]) } else { u8::MAX };
+                row.voxels[i] = material.color(code, factor, [scale, addend], [i, j, k]);
+            }
+        }
+    }
+}
+
 impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
     /// j, k, and the leaves that it passes.
     type Scanline = (usize, usize, &'a [u64]);
@@ -285,6 +377,48 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
     #[inline(always)]
     fn is_empty(&self, (.., leaves): &Self::Scanline) -> bool {
         leaves.iter().all(|&bits| bits == 0)
+    }
+
+    #[inline(always)]
+    fn shown(&self, j: usize, count: usize, k: usize) -> u64 {
+        let rows = j..(j + count).min(self.leaves.scanlines());
+        rows.fold(0, |shown, at| shown | u64::from(!self.is_empty(&self.scanline(at, k))) << (at - j))
+    }
+
+    #[inline(always)]
+    fn touches(&self, (.., leaves): &Self::Scanline, open: &Open<'_>) -> bool {
+        leaves.iter().enumerate().any(|(word, leaves)| leaves & open.word(word).voxels() != 0)
+    }
+
+    /// Classifies the touched voxels of leaves that may show something, block by block, and shades those that are drawn.
+    #[inline(always)]
+    fn touch<H: Light, const FACTORED: bool>(
+        &self,
+        scanline: &Self::Scanline,
+        open: &Open<'_>,
+        touched: &mut Touched,
+        (row, at): (&mut Row, [usize; 2]),
+        material: SliceMaterial<'_, H, FACTORED>,
+    ) {
+        for (word, leaves) in scanline.2.iter().enumerate() {
+            let open = open.word(word);
+            let asked = leaves & open.voxels();
+            let mut unknown = asked & !row.classified[word];
+            while unknown != 0 {
+                let block = unknown.trailing_zeros() as usize / BLOCK;
+                let mask = run_mask(block * BLOCK, BLOCK);
+                unknown &= !mask;
+                row.classified[word] |= mask;
+                let drawn = self.classify(scanline, word * WORD / BLOCK + block) << (block * BLOCK);
+                row.marked[word] = row.marked[word] & !mask | drawn;
+            }
+            let drawn = asked & row.marked[word];
+            if drawn != 0 {
+                open.touch(drawn, touched);
+                let row = ShadedRow { voxels: &mut row.voxels, shaded: &mut row.shaded, at };
+                self.shade_word(scanline, (word, drawn), row, material);
+            }
+        }
     }
 
     #[inline(always)]
@@ -319,31 +453,14 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
     #[inline(always)]
     fn shade<H: Light, const FACTORED: bool>(
         &self,
-        &(j, k, _): &Self::Scanline,
+        scanline: &Self::Scanline,
         asked: &[u64],
         row: ShadedRow<'_>,
         material: SliceMaterial<'_, H, FACTORED>,
     ) {
-        let codes = self.voxels.row(j, k);
-        for (word, (asked, shaded)) in asked.iter().zip(row.shaded).enumerate() {
-            let mut missing = asked & !*shaded;
-            *shaded |= missing;
-            while missing != 0 {
-                let i = word * WORD + missing.trailing_zeros() as usize;
-                if H::BLOCKS {
-                    let first = i / BLOCK * BLOCK;
-                    missing &= !run_mask(first % WORD, BLOCK);
-                    *shaded |= run_mask(first % WORD, BLOCK);
-                    self.shade_block([first, j, k], &mut row.voxels[first..first + BLOCK], material);
-                } else {
-                    missing &= missing - 1;
-                    let normal = if H::LIT { self.normals.at([i, j, k]) } else { 0 };
-                    let [[scale], [addend]] = material.light(&[normal], [i, j, k]);
-                    let code = codes[i].into();
-                    let factor = if FACTORED { self.factor(code, [i, j, k]) } else { u8::MAX };
-                    row.voxels[i] = material.color(code, factor, [scale, addend], [i, j, k]);
-                }
-            }
+        let ShadedRow { voxels, shaded, at } = row;
+        for (word, asked) in asked.iter().enumerate() {
+            self.shade_word(scanline, (word, *asked), ShadedRow { voxels, shaded, at }, material);
         }
     }
 

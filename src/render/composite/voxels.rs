@@ -2,9 +2,9 @@
 //!
 //! For a scanline of a slice:
 //!
-//! 1. *Which pixels?* The runs of the two voxel scanlines that the pixels gather from are marked
-//!    as bits; a pixel needs work if a voxel it touches is marked and it is not opaque itself. That
-//!    is a union, a shift and an intersection of machine words (`spans.rs`).
+//! 1. *Which pixels?* A pixel needs work if it touches a voxel of a run and is not opaque itself. That is a shift and an
+//!    intersection of machine words for each run of the two voxel scanlines that the pixels gather from (`touched.rs`);
+//!    scanlines without a run are not even looked at.
 //! 2. *Shade* the voxels those pixels touch into a row buffer, each once: the lower scanline of
 //!    one pixel row is the upper one of the next (`rows.rs`).
 //! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
@@ -17,9 +17,9 @@ use super::cue::{Cue, ScanlineCue};
 use super::lattice::{Lattice, Unit};
 use super::rows::RowBuffers;
 use super::sources::VoxelSource;
-use super::spans::Spans;
-use super::{CANCEL_STEP, Composite, WORD, clear_bits, first_run, over, run_mask};
-use crate::render::factorization::{Factorization, SlicePlacement};
+use super::touched::{Open, Touched};
+use super::{BAND_HEIGHT, CANCEL_STEP, Composite, WORD, over, run_mask};
+use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::material::{Light, Material, SliceMaterial};
 use crate::render::slab::opacity_ratio;
@@ -85,11 +85,10 @@ impl<L: VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Composite 
 }
 
 impl VoxelLattice for Unit {
-    type Scratch = (RowBuffers, Spans, ClippedPixels);
+    type Scratch = (RowBuffers, Touched, ClippedPixels);
 
     fn scratch(factorization: &Factorization) -> Self::Scratch {
-        let length = factorization.dims[0];
-        (RowBuffers::new(length), Spans::new(length), ClippedPixels::default())
+        (RowBuffers::new(factorization.dims[0]), Touched::new(factorization.size[0]), ClippedPixels::default())
     }
 
     #[inline(always)]
@@ -109,132 +108,105 @@ impl VoxelLattice for Unit {
 impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACTORED> {
     /// One slice into one band.
     #[inline(always)]
-    fn slice(&self, band: &mut Band<'_>, k: usize, (rows, spans, clipped): &mut <Unit as VoxelLattice>::Scratch) {
-        let placement = self.factorization.slice(k);
+    fn slice(&self, band: &mut Band<'_>, k: usize, (rows, touched, clipped): &mut <Unit as VoxelLattice>::Scratch) {
+        const { assert!(BAND_HEIGHT < WORD, "a word has a bit for each scanline under a band") }
+        let f = self.factorization;
+        let placement = f.slice(k);
+        let [first_u, first_v] = placement.first;
         let [fraction_u, fraction_v] = placement.fraction;
-        let material = self.material.slice(self.factorization.share(k));
         // Pixels between the slice's first and last voxel scanline: nothing lies outside the box.
-        let last = self.factorization.dims[1] - 1 - usize::from(fraction_v > 0.0);
-        let first_row = placement.first[1].saturating_sub(band.first);
-        let end_row = (placement.first[1] + last + 1).saturating_sub(band.first).min(band.height());
+        let has_lower = fraction_v > 0.0;
+        let end_v = (first_v + f.dims[1] - usize::from(has_lower)).min(band.first + band.height());
+        let start_v = first_v.max(band.first);
+        if start_v >= end_v {
+            return;
+        }
+        let (start_j, count) = (start_v - first_v, end_v - start_v);
+        let shown = self.source.shown(start_j, count + usize::from(has_lower), k);
+        let mut under = if has_lower { (shown | shown >> 1) & run_mask(0, count) } else { shown };
+        if under == 0 {
+            return;
+        }
+        let material = self.material.slice(f.share(k));
         let weights = Weights::new(fraction_u, fraction_v);
         let cue = self.cue.map(|cue| cue.slice(k as f64));
-        let slices = &self.factorization.slices;
-        let ahead = if self.factorization.reversed { k.wrapping_sub(1) } else { k + 1 };
-        let has_ahead = slices.contains(&ahead);
-        let farther = if self.factorization.reversed { k.wrapping_sub(FARTHER) } else { k + FARTHER };
+        let (ahead, farther) =
+            if f.reversed { (k.wrapping_sub(1), k.wrapping_sub(FARTHER)) } else { (k + 1, k + FARTHER) };
+        let has_ahead = f.slices.contains(&ahead);
         rows.next_slice();
-        let mut below = None;
-        for row in first_row..end_row {
-            let v = band.first + row;
-            let j = v - placement.first[1];
+        while under != 0 {
+            let at = under.trailing_zeros() as usize;
+            under &= under - 1;
+            let (v, j) = (start_v + at, start_j + at);
             if has_ahead {
                 self.source.prefetch_place(j, farther);
             }
-            let upper = match below {
-                Some(upper) => upper,
-                None => self.source.scanline(j, k),
-            };
-            let lower = if fraction_v > 0.0 { Some(self.source.scanline(j + 1, k)) } else { None };
-            below = lower;
-            let empty_lower = match &lower {
-                Some(lower) => self.source.is_empty(lower),
-                None => true,
-            };
-            if empty_lower && self.source.is_empty(&upper) {
+            let mut scanline = band.scanline(v - band.first);
+            let upper = self.source.scanline(j, k);
+            let lower = if has_lower { Some(self.source.scanline(j + 1, k)) } else { None };
+            let mut open =
+                Open { words: scanline.non_opaque, first: first_u, between: fraction_u > 0.0, length: f.dims[0] };
+            let touches = self.source.touches(&upper, &open)
+                || lower.as_ref().is_some_and(|lower| self.source.touches(lower, &open));
+            if !touches {
                 continue;
             }
-            rows.enter(self.source, j, &upper, lower.as_ref());
-            let mut scanline = band.scanline(row);
-            self.find(spans, clipped, rows, &scanline, &placement, [v, k]);
-            if V::CLASSIFIES && !spans.is_empty() {
-                rows.classify(self.source, &upper, lower.as_ref(), spans);
-                self.find(spans, clipped, rows, &scanline, &placement, [v, k]);
+            if f.is_clipped() {
+                if !clipped.find(f, v, f.interval(k), scanline.non_opaque) {
+                    continue;
+                }
+                open.words = clipped.open();
             }
-            if spans.is_empty() {
+            rows.enter::<V>(j, has_lower);
+            self.source.touch(&upper, &open, touched, (rows.upper(), [j, k]), material);
+            if let Some(lower) = &lower {
+                self.source.touch(lower, &open, touched, (rows.lower(), [j + 1, k]), material);
+            }
+            if touched.is_empty() {
                 continue;
             }
             if has_ahead {
                 self.source.prefetch(j, ahead);
             }
-            rows.shade(self.source, &upper, lower.as_ref(), (spans, k), material);
             let cue = cue.map(|cue| cue.scanline(v));
-            let at = Place { v, k, first_u: placement.first[0], cue, clipped };
-            self.blend(&mut scanline, &at, rows, spans, &weights, material);
+            let at = Place { v, k, first_u, cue, clipped };
+            self.blend(&mut scanline, &at, rows, touched, &weights, material);
         }
     }
 
-    /// Finds the pixels that touch a marked voxel, are not opaque and not clipped away.
-    #[inline(always)]
-    fn find(
-        &self,
-        spans: &mut Spans,
-        clipped: &mut ClippedPixels,
-        rows: &RowBuffers,
-        scanline: &ScanlineMut<'_>,
-        placement: &SlicePlacement,
-        [v, k]: [usize; 2],
-    ) {
-        let (first_u, between) = (placement.first[0], placement.fraction[0] > 0.0);
-        spans.find(rows, scanline.non_opaque, first_u, between);
-        let f = self.factorization;
-        if f.is_clipped() && !spans.is_empty() {
-            clipped.find(f, v, f.interval(k), scanline.non_opaque);
-            spans.find(rows, clipped.open(), first_u, between);
-        }
-    }
-
-    /// Resamples the row buffers at the spans' pixels and blends behind what is there.
+    /// Resamples the row buffers at the touched pixels and blends behind what is there.
     #[inline(always)]
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
         &Place { v, k, first_u, cue, clipped }: &Place<'_>,
         rows: &RowBuffers,
-        spans: &Spans,
+        touched: &mut Touched,
         weights: &Weights,
         material: SliceMaterial<'_, H, FACTORED>,
     ) {
+        let around = Around { rows: rows.voxels(), first_u, weights };
         let finish = |sample| material.resampled(sample, 1.0);
-        for (word, &bits) in spans.pixels().iter().enumerate() {
-            let mut bits = bits;
-            while bits != 0 {
-                let (start, length) = first_run(bits);
-                bits &= !run_mask(start, length);
-                let i = word * WORD + start;
-                let u = i + first_u;
-                let (upper, lower) = rows.voxels(i, length + 1);
-                let pixels = &mut scanline.pixels[u..u + length];
-                let opaque = match (rows.has_lower(), cue) {
-                    _ if self.factorization.is_clipped() && clipped.cuts(u, length) => {
-                        let left = |u| self.left(u, v, k, clipped);
-                        let has_lower = rows.has_lower();
-                        let sample = |upper, lower| {
-                            finish(if has_lower {
-                                weights.sample::<true>(upper, lower)
-                            } else {
-                                weights.sample::<false>(upper, lower)
-                            })
-                        };
-                        blend_cut(pixels, [upper, lower], sample, (cue, u), left, self.opaque)
-                    }
-                    (true, None) => {
-                        blend_run::<true, false>(pixels, upper, lower, weights, (cue, u), finish, self.opaque)
-                    }
-                    (false, None) => {
-                        blend_run::<false, false>(pixels, upper, lower, weights, (cue, u), finish, self.opaque)
-                    }
-                    (true, Some(_)) => {
-                        blend_run::<true, true>(pixels, upper, lower, weights, (cue, u), finish, self.opaque)
-                    }
-                    (false, Some(_)) => {
-                        blend_run::<false, true>(pixels, upper, lower, weights, (cue, u), finish, self.opaque)
-                    }
-                };
-                if opaque != 0 {
-                    clear_bits(scanline.non_opaque, u, opaque);
-                }
+        let cued = |u, sample: Vec4| match cue {
+            Some(cue) => (sample * cue.at(u)).with_w(sample.w),
+            None => sample,
+        };
+        let left = |u, sample| {
+            let left = self.left(u, v, k, clipped);
+            cued(u, cut(sample, left))
+        };
+        let opaque = self.opaque;
+        match (rows.has_lower(), cue) {
+            (true, _) if self.factorization.is_clipped() => {
+                blend_clipped::<true>(scanline, touched, &around, |u, sample| left(u, finish(sample)), opaque);
             }
+            (false, _) if self.factorization.is_clipped() => {
+                blend_clipped::<false>(scanline, touched, &around, |u, sample| left(u, finish(sample)), opaque);
+            }
+            (true, None) => blend::<true>(scanline, touched, &around, |_, sample| finish(sample), opaque),
+            (false, None) => blend::<false>(scanline, touched, &around, |_, sample| finish(sample), opaque),
+            (true, Some(_)) => blend::<true>(scanline, touched, &around, |u, sample| cued(u, finish(sample)), opaque),
+            (false, Some(_)) => blend::<false>(scanline, touched, &around, |u, sample| cued(u, finish(sample)), opaque),
         }
     }
 }
@@ -294,50 +266,60 @@ impl Weights {
     }
 }
 
-/// Blends consecutive pixels; gives the mask of those that became opaque.
-#[inline(always)]
-fn blend_run<const LOWER: bool, const CUED: bool>(
-    pixels: &mut [Vec4],
-    upper: &[Vec4],
-    lower: &[Vec4],
-    weights: &Weights,
-    (cue, u): (Option<ScanlineCue<'_>>, usize),
-    finish: impl Fn(Vec4) -> Vec4,
-    opaque: f32,
-) -> u64 {
-    let mut done = 0;
-    let voxels = upper.windows(2).zip(lower.windows(2));
-    for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
-        let mut sample = finish(weights.sample::<LOWER>([upper[0], upper[1]], [lower[0], lower[1]]));
-        if CUED && let Some(cue) = cue {
-            sample = (sample * cue.at(u + at)).with_w(sample.w);
-        }
-        *pixel = over(*pixel, sample);
-        done |= u64::from(pixel.w >= opaque) << at;
-    }
-    done
+/// The voxels around the pixels of a scanline.
+struct Around<'a> {
+    /// Upper and lower.
+    rows: [&'a [Vec4]; 2],
+    /// The pixel on voxel 0 or after it.
+    first_u: usize,
+    weights: &'a Weights,
 }
 
-/// The same where clipping leaves a share of some pixels.
-#[inline(never)]
-fn blend_cut(
-    pixels: &mut [Vec4],
-    [upper, lower]: [&[Vec4]; 2],
-    sample: impl Fn([Vec4; 2], [Vec4; 2]) -> Vec4,
-    (cue, u): (Option<ScanlineCue<'_>>, usize),
-    left: impl Fn(usize) -> Option<f32>,
+/// Blends the touched pixels; `finish` makes what is blended of a sample at pixel u. Pixels that become opaque are no longer open.
+#[inline(always)]
+fn blend<const LOWER: bool>(
+    scanline: &mut ScanlineMut<'_>,
+    touched: &mut Touched,
+    &Around { rows: [upper, lower], first_u, weights }: &Around<'_>,
+    finish: impl Fn(usize, Vec4) -> Vec4,
     opaque: f32,
-) -> u64 {
-    let mut done = 0;
-    let voxels = upper.windows(2).zip(lower.windows(2));
-    for (at, (pixel, (upper, lower))) in pixels.iter_mut().zip(voxels).enumerate() {
-        let whole = sample([upper[0], upper[1]], [lower[0], lower[1]]);
-        let mut sample = cut(whole, left(u + at));
-        if let Some(cue) = cue {
-            sample = (sample * cue.at(u + at)).with_w(sample.w);
+) {
+    // Pixels on voxels or after them, and both voxels of each: one length bounds all.
+    let pixels = &mut scanline.pixels[first_u..];
+    let length = pixels.len().min(upper.len() - 1).min(lower.len() - 1);
+    let pixels = &mut pixels[..length];
+    let [upper, upper_next] = [&upper[..length], &upper[1..=length]];
+    let [lower, lower_next] = [&lower[..length], &lower[1..=length]];
+    let (weights, opaque) = (*weights, Vec4::splat(opaque));
+    let non_opaque = &mut *scanline.non_opaque;
+    touched.take(|word, mut bits| {
+        let mut done = 0;
+        while bits != 0 {
+            let at = bits.trailing_zeros() as usize;
+            bits &= bits - 1;
+            let i = word * WORD + at - first_u;
+            // Always so.
+            if i >= length {
+                return;
+            }
+            let lower = if LOWER { [lower[i], lower_next[i]] } else { [Vec4::ZERO; 2] };
+            let sample = weights.sample::<LOWER>([upper[i], upper_next[i]], lower);
+            let pixel = over(pixels[i], finish(i + first_u, sample));
+            pixels[i] = pixel;
+            done |= u64::from(pixel.cmpge(opaque).bitmask() >> 3) << at;
         }
-        *pixel = over(*pixel, sample);
-        done |= u64::from(pixel.w >= opaque) << at;
-    }
-    done
+        non_opaque[word] &= !done;
+    });
+}
+
+/// The same, compiled by itself: where clipping leaves a share of some pixels.
+#[inline(never)]
+fn blend_clipped<const LOWER: bool>(
+    scanline: &mut ScanlineMut<'_>,
+    touched: &mut Touched,
+    around: &Around<'_>,
+    finish: impl Fn(usize, Vec4) -> Vec4,
+    opaque: f32,
+) {
+    blend::<LOWER>(scanline, touched, around, finish, opaque);
 }
