@@ -77,7 +77,7 @@ impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: b
     }
 }
 
-impl<L, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
+impl<L: Lattice, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
     /// The colour of a voxel, zero where it is transparent. Past the end, where the weight is zero, there
     /// is nothing.
     fn color(&self, at: [usize; 3]) -> Vec4 {

@@ -46,7 +46,7 @@ impl Row {
 
     /// Forgets what was there, for scanline `j`: zeros come back where voxels had been shaded.
     #[inline(always)]
-    pub fn make_room(&mut self, j: usize) {
+    fn make_room(&mut self, j: usize) {
         for (word, bits) in self.shaded.iter_mut().enumerate() {
             if *bits != 0 {
                 let (first, end) = (bits.trailing_zeros() as usize, WORD - bits.leading_zeros() as usize);
@@ -57,9 +57,19 @@ impl Row {
         self.j = Some(j);
     }
 
-    /// Becomes scanline `j`, with nothing shaded yet.
+    /// Becomes scanline `j`, with nothing shaded yet, unless it is. True where it was another.
     #[inline(always)]
-    pub fn enter<V: VoxelSource>(&mut self, source: V, j: usize, scanline: &V::Scanline) {
+    pub fn enter(&mut self, j: usize) -> bool {
+        let other = self.j != Some(j);
+        if other {
+            self.make_room(j);
+        }
+        other
+    }
+
+    /// Becomes scanline `j`, marked, with nothing shaded yet.
+    #[inline(always)]
+    pub fn enter_marked<V: VoxelSource>(&mut self, source: V, j: usize, scanline: &V::Scanline) {
         self.make_room(j);
         if !self.empty {
             self.marked.fill(0);
@@ -111,13 +121,12 @@ impl Row {
 pub struct RowBuffers {
     upper: Row,
     lower: Row,
-    has_lower: bool,
 }
 
 impl RowBuffers {
     /// Buffers for scanlines of `length` voxels.
     pub fn new(length: usize) -> Self {
-        Self { upper: Row::new(length), lower: Row::new(length), has_lower: false }
+        Self { upper: Row::new(length), lower: Row::new(length) }
     }
 
     /// Scanlines of another slice follow: none of those in the buffers is meant any more.
@@ -127,29 +136,15 @@ impl RowBuffers {
         self.lower.j = None;
     }
 
-    /// Makes room for scanline `j` and, where pixels lie between two scanlines, `j + 1`.
+    /// Goes on to scanlines `j` and `j + 1`.
     #[inline(always)]
-    pub fn enter<V: VoxelSource>(&mut self, j: usize, has_lower: bool) {
-        let enter = |row: &mut Row, j| {
-            row.make_room(j);
-            if V::CLASSIFIES {
-                row.classified.fill(0);
-            }
-        };
-        if self.upper.j != Some(j) {
-            if self.lower.j == Some(j) {
-                std::mem::swap(&mut self.upper, &mut self.lower);
-            } else {
-                enter(&mut self.upper, j);
-            }
+    pub fn go_on(&mut self, j: usize) {
+        if self.lower.j == Some(j) {
+            std::mem::swap(&mut self.upper, &mut self.lower);
         }
-        if has_lower && self.lower.j != Some(j + 1) {
-            enter(&mut self.lower, j + 1);
-        }
-        self.has_lower = has_lower;
     }
 
-    /// The upper scanline's buffer.
+    /// The upper scanline's buffer. What it holds may be of another scanline until it is [entered](Row::enter).
     #[inline(always)]
     pub fn upper(&mut self) -> &mut Row {
         &mut self.upper
@@ -161,15 +156,13 @@ impl RowBuffers {
         &mut self.lower
     }
 
-    /// True where pixels lie between two scanlines.
+    /// The voxels of scanline `j` and, where pixels lie between two scanlines, `j + 1`.
     #[inline(always)]
-    pub fn has_lower(&self) -> bool {
-        self.has_lower
-    }
-
-    /// The voxels of both scanlines.
-    #[inline(always)]
-    pub fn voxels(&self) -> [&[Vec4]; 2] {
+    pub fn voxels(&mut self, j: usize, has_lower: bool) -> [&[Vec4]; 2] {
+        self.upper.enter(j);
+        if has_lower {
+            self.lower.enter(j + 1);
+        }
         [&self.upper.voxels, &self.lower.voxels]
     }
 }

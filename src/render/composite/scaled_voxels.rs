@@ -86,7 +86,7 @@ impl VoxelLattice for Scaled {
         scratch: &mut Scratch,
     ) {
         let f = voxels.factorization;
-        let placement @ [along_u, along_v] = Self::placement(f, k as f64);
+        let placement @ [along_u, along_v] = voxels.placements[k - f.slices.start];
         let [us, vs] = Self::inside(f, &placement);
         if us.is_empty() {
             return;
@@ -149,7 +149,7 @@ impl Scratch {
             let scanline = source.scanline(j, k);
             any |= !source.is_empty(&scanline);
             if self.rows[j % count].j != Some(j) {
-                self.rows[j % count].enter(source, j, &scanline);
+                self.rows[j % count].enter_marked(source, j, &scanline);
             }
         }
         any

@@ -47,8 +47,8 @@ pub trait VoxelSource: Copy + Send + Sync {
     /// True where an open pixel touches a voxel that may be drawn.
     fn touches(&self, scanline: &Self::Scanline, open: &Open<'_>) -> bool;
 
-    /// Adds the open pixels that touch drawn voxels to `touched`, and shades the voxels of slice `k` that they touch (or some
-    /// more) into `row`, unless they are there.
+    /// Adds the open pixels that touch drawn voxels to `touched`, and shades the voxels that they touch (or some more) into a row
+    /// that is to be scanline j of slice k, unless they are there. A row for which nothing is touched may go on being another.
     fn touch<H: Light, const FACTORED: bool>(
         &self,
         scanline: &Self::Scanline,
@@ -140,6 +140,7 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
             let (start, length) = (usize::from(run.start), usize::from(run.length));
             let around = open.around(start, length);
             if around.pixels != 0 {
+                row.enter(at[0]);
                 touched.add(around.first, around.pixels);
                 let shaded = &mut row.shaded[run.word()];
                 let missing = around.voxels(length) & !(*shaded >> (start % WORD));
@@ -403,6 +404,12 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
         for (word, leaves) in scanline.2.iter().enumerate() {
             let open = open.word(word);
             let asked = leaves & open.voxels();
+            if asked == 0 {
+                continue;
+            }
+            if row.enter(at[0]) {
+                row.classified.fill(0);
+            }
             let mut unknown = asked & !row.classified[word];
             while unknown != 0 {
                 let block = unknown.trailing_zeros() as usize / BLOCK;

@@ -30,10 +30,12 @@ const FARTHER: usize = 8;
 
 /// What the bands of a frame share.
 #[derive(Debug)]
-pub struct Voxels<'a, L, V, H, const FACTORED: bool> {
+pub struct Voxels<'a, L: Lattice, V, H, const FACTORED: bool> {
     pub lattice: L,
     pub source: V,
     pub factorization: &'a Factorization,
+    /// Where slices lie, from the first one of the factorization's on.
+    pub placements: Vec<L::Placement>,
     pub material: Material<'a, H, FACTORED>,
     /// `None`: nothing fades.
     pub cue: Option<&'a Cue>,
@@ -111,7 +113,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
     fn slice(&self, band: &mut Band<'_>, k: usize, (rows, touched, clipped): &mut <Unit as VoxelLattice>::Scratch) {
         const { assert!(BAND_HEIGHT < WORD, "a word has a bit for each scanline under a band") }
         let f = self.factorization;
-        let placement = f.slice(k);
+        let placement = self.placements[k - f.slices.start];
         let [first_u, first_v] = placement.first;
         let [fraction_u, fraction_v] = placement.fraction;
         // Pixels between the slice's first and last voxel scanline: nothing lies outside the box.
@@ -134,6 +136,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             if f.reversed { (k.wrapping_sub(1), k.wrapping_sub(FARTHER)) } else { (k + 1, k + FARTHER) };
         let has_ahead = f.slices.contains(&ahead);
         rows.next_slice();
+        let mut below = None;
         while under != 0 {
             let at = under.trailing_zeros() as usize;
             under &= under - 1;
@@ -142,22 +145,23 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 self.source.prefetch_place(j, farther);
             }
             let mut scanline = band.scanline(v - band.first);
-            let upper = self.source.scanline(j, k);
+            let upper = match below {
+                Some((at, scanline)) if at == j => scanline,
+                _ => self.source.scanline(j, k),
+            };
             let lower = if has_lower { Some(self.source.scanline(j + 1, k)) } else { None };
             let mut open =
                 Open { words: scanline.non_opaque, first: first_u, between: fraction_u > 0.0, length: f.dims[0] };
-            let touches = self.source.touches(&upper, &open)
-                || lower.as_ref().is_some_and(|lower| self.source.touches(lower, &open));
-            if !touches {
-                continue;
-            }
+            below = lower.map(|lower| (j + 1, lower));
             if f.is_clipped() {
-                if !clipped.find(f, v, f.interval(k), scanline.non_opaque) {
+                let touches = self.source.touches(&upper, &open)
+                    || lower.as_ref().is_some_and(|lower| self.source.touches(lower, &open));
+                if !touches || !clipped.find(f, v, f.interval(k), scanline.non_opaque) {
                     continue;
                 }
                 open.words = clipped.open();
             }
-            rows.enter::<V>(j, has_lower);
+            rows.go_on(j);
             self.source.touch(&upper, &open, touched, (rows.upper(), [j, k]), material);
             if let Some(lower) = &lower {
                 self.source.touch(lower, &open, touched, (rows.lower(), [j + 1, k]), material);
@@ -169,8 +173,9 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 self.source.prefetch(j, ahead);
             }
             let cue = cue.map(|cue| cue.scanline(v));
-            let at = Place { v, k, first_u, cue, clipped };
-            self.blend(&mut scanline, &at, rows, touched, &weights, material);
+            let at = Place { v, k, cue, clipped };
+            let around = Around { rows: rows.voxels(j, has_lower), first_u, weights: &weights };
+            self.blend(&mut scanline, &at, (&around, has_lower), touched, material);
         }
     }
 
@@ -179,13 +184,11 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
     fn blend(
         &self,
         scanline: &mut ScanlineMut<'_>,
-        &Place { v, k, first_u, cue, clipped }: &Place<'_>,
-        rows: &RowBuffers,
+        &Place { v, k, cue, clipped }: &Place<'_>,
+        (around, has_lower): (&Around<'_>, bool),
         touched: &mut Touched,
-        weights: &Weights,
         material: SliceMaterial<'_, H, FACTORED>,
     ) {
-        let around = Around { rows: rows.voxels(), first_u, weights };
         let finish = |sample| material.resampled(sample, 1.0);
         let cued = |u, sample: Vec4| match cue {
             Some(cue) => (sample * cue.at(u)).with_w(sample.w),
@@ -196,22 +199,22 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             cued(u, cut(sample, left))
         };
         let opaque = self.opaque;
-        match (rows.has_lower(), cue) {
+        match (has_lower, cue) {
             (true, _) if self.factorization.is_clipped() => {
-                blend_clipped::<true>(scanline, touched, &around, |u, sample| left(u, finish(sample)), opaque);
+                blend_clipped::<true>(scanline, touched, around, |u, sample| left(u, finish(sample)), opaque);
             }
             (false, _) if self.factorization.is_clipped() => {
-                blend_clipped::<false>(scanline, touched, &around, |u, sample| left(u, finish(sample)), opaque);
+                blend_clipped::<false>(scanline, touched, around, |u, sample| left(u, finish(sample)), opaque);
             }
-            (true, None) => blend::<true>(scanline, touched, &around, |_, sample| finish(sample), opaque),
-            (false, None) => blend::<false>(scanline, touched, &around, |_, sample| finish(sample), opaque),
-            (true, Some(_)) => blend::<true>(scanline, touched, &around, |u, sample| cued(u, finish(sample)), opaque),
-            (false, Some(_)) => blend::<false>(scanline, touched, &around, |u, sample| cued(u, finish(sample)), opaque),
+            (true, None) => blend::<true>(scanline, touched, around, |_, sample| finish(sample), opaque),
+            (false, None) => blend::<false>(scanline, touched, around, |_, sample| finish(sample), opaque),
+            (true, Some(_)) => blend::<true>(scanline, touched, around, |u, sample| cued(u, finish(sample)), opaque),
+            (false, Some(_)) => blend::<false>(scanline, touched, around, |u, sample| cued(u, finish(sample)), opaque),
         }
     }
 }
 
-impl<L, V, H, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
+impl<L: Lattice, V, H, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
     /// The share of slice `k` that clipping leaves of pixel (u, v), where that is not all.
     #[inline(never)]
     pub(super) fn left(&self, u: usize, v: usize, k: usize, clipped: &ClippedPixels) -> Option<f32> {
@@ -227,8 +230,6 @@ impl<L, V, H, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
 struct Place<'a> {
     v: usize,
     k: usize,
-    /// The first pixel that lies on the slice.
-    first_u: usize,
     cue: Option<ScanlineCue<'a>>,
     /// Where the view clips.
     clipped: &'a ClippedPixels,

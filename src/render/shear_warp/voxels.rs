@@ -3,7 +3,7 @@
 use super::{Begun, Pass};
 use crate::classify::Encodings;
 use crate::classify::labels::Labels;
-use crate::render::composite::lattice::{Scaled, Unit};
+use crate::render::composite::lattice::{Lattice, Scaled, Unit};
 use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::LeafRows;
 use crate::render::composite::samples::{VoxelLight, VoxelRows};
@@ -104,7 +104,7 @@ impl Pass<'_> {
         }
     }
 
-    fn composite<'b, L, V, H, const FACTORED: bool>(
+    fn composite<'b, L: Lattice, V, H, const FACTORED: bool>(
         &'b self,
         lattice: L,
         source: V,
@@ -114,6 +114,7 @@ impl Pass<'_> {
             lattice,
             source,
             factorization: self.factorization,
+            placements: self.factorization.slices.clone().map(|k| L::placement(self.factorization, k as f64)).collect(),
             material,
             cue: self.cue,
             opaque: self.settings.early_ray_termination,
