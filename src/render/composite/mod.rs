@@ -72,7 +72,8 @@ pub trait Composite: Sync {
     where
         Self: Sized,
     {
-        image.strips(BAND_HEIGHT).try_for_each_init(
+        // Bands are few and differ much: each goes to whoever is free.
+        image.strips(BAND_HEIGHT).with_max_len(1).try_for_each_init(
             || (BandBuffer::default(), self.scratch(BAND_HEIGHT)),
             |(buffer, scratch), strip| simd::dispatch(Job { composite: self, strip, buffer, scratch }),
         )
