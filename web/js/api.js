@@ -31,49 +31,49 @@ import { framePath } from './request.js';
 
 /** Why there is no answer, and in which way that may change. */
 export class Problem extends Error {
-  /** @param {Kind} kind @param {string} message @param {{retryAfter?: number, errors?: {pointer: string, detail: string}[]}} [more] */
-  constructor(kind, message, { retryAfter = 1, errors = [] } = {}) {
-    super(message);
-    this.kind = kind;
-    /** Seconds. */
-    this.retryAfter = retryAfter;
-    this.errors = errors;
-  }
+	/** @param {Kind} kind @param {string} message @param {{retryAfter?: number, errors?: {pointer: string, detail: string}[]}} [more] */
+	constructor(kind, message, { retryAfter = 1, errors = [] } = {}) {
+		super(message);
+		this.kind = kind;
+		/** Seconds. */
+		this.retryAfter = retryAfter;
+		this.errors = errors;
+	}
 
-  /** Whether the same request may succeed later. */
-  get passing() {
-    return this.kind === 'busy' || this.kind === 'loading' || this.kind === 'gone';
-  }
+	/** Whether the same request may succeed later. */
+	get passing() {
+		return this.kind === 'busy' || this.kind === 'loading' || this.kind === 'gone';
+	}
 }
 
 /** @param {string} path @param {RequestInit} [init] @returns {Promise<Response>} a good one @throws {Problem} or an AbortError */
 async function ask(path, init) {
-  let response;
-  try {
-    response = await fetch(path, init);
-  } catch (error) {
-    if (init?.signal?.aborted) throw error;
-    throw new Problem('gone', 'The service does not answer.');
-  }
-  if (response.ok) return response;
-  throw await problemOf(response);
+	let response;
+	try {
+		response = await fetch(path, init);
+	} catch (error) {
+		if (init?.signal?.aborted) throw error;
+		throw new Problem('gone', 'The service does not answer.');
+	}
+	if (response.ok) return response;
+	throw await problemOf(response);
 }
 
 /** @param {Response} response */
 async function problemOf(response) {
-  const body = await response.json().catch(() => ({}));
-  return problemIn({ ...body, status: response.status }, Number(response.headers.get('Retry-After')) || 1);
+	const body = await response.json().catch(() => ({}));
+	return problemIn({ ...body, status: response.status }, Number(response.headers.get('Retry-After')) || 1);
 }
 
 /** What the service says went wrong (RFC 9457). @param {any} body @param {number} [retryAfter] seconds */
 export function problemIn(body, retryAfter = 1) {
-  const detail = String(body.detail ?? `status ${body.status}`);
-  const of = (/** @type {Kind} */ kind) => new Problem(kind, detail, { retryAfter, errors: body.errors ?? [] });
-  if (body.status === 503) return of(String(body.type).endsWith(':loading') ? 'loading' : 'busy');
-  if (body.status === 422) return of('refused');
-  // What a proxy says when the service behind it is down.
-  if (body.status === 502) return of('gone');
-  return of(body.status === 404 ? 'missing' : 'failed');
+	const detail = String(body.detail ?? `status ${body.status}`);
+	const of = (/** @type {Kind} */ kind) => new Problem(kind, detail, { retryAfter, errors: body.errors ?? [] });
+	if (body.status === 503) return of(String(body.type).endsWith(':loading') ? 'loading' : 'busy');
+	if (body.status === 422) return of('refused');
+	// What a proxy says when the service behind it is down.
+	if (body.status === 502) return of('gone');
+	return of(body.status === 404 ? 'missing' : 'failed');
 }
 
 /** @param {string} path @param {AbortSignal} [signal] */
@@ -93,39 +93,39 @@ export const histogram = (id, signal) => json(`${volumePath(id)}/histogram?bins=
 
 /** What a preset, or none, is on this scan. @param {string} id @param {string | null} preset @param {AbortSignal} [signal] @returns {Promise<Fitted>} */
 export const fitted = (id, preset, signal) =>
-  json(`${volumePath(id)}/transfer-function${preset ? `?preset=${encodeURIComponent(preset)}` : ''}`, signal);
+	json(`${volumePath(id)}/transfer-function${preset ? `?preset=${encodeURIComponent(preset)}` : ''}`, signal);
 
 /** @param {string} id @param {object} request @param {AbortSignal} signal @returns {Promise<FrameAnswer>} */
 export async function frame(id, request, signal) {
-  const headers = { 'Content-Type': 'application/json' };
-  const response = await ask(framePath(id), { method: 'POST', headers, body: JSON.stringify(request), signal });
-  const arrived = performance.now();
-  const blob = await body(response, signal);
-  const stages = readTimings(response.headers.get('Server-Timing') ?? '');
-  const algorithm = response.headers.get('X-Render-Algorithm') ?? '';
-  const warp = response.headers.get('X-Image-Warp')?.split(',').map(Number);
-  return { blob, stages, algorithm, warp, downloaded: performance.now() - arrived };
+	const headers = { 'Content-Type': 'application/json' };
+	const response = await ask(framePath(id), { method: 'POST', headers, body: JSON.stringify(request), signal });
+	const arrived = performance.now();
+	const blob = await body(response, signal);
+	const stages = readTimings(response.headers.get('Server-Timing') ?? '');
+	const algorithm = response.headers.get('X-Render-Algorithm') ?? '';
+	const warp = response.headers.get('X-Image-Warp')?.split(',').map(Number);
+	return { blob, stages, algorithm, warp, downloaded: performance.now() - arrived };
 }
 
 /** A small still frame, to the side of what is being looked at. @param {string} id @param {Record<string, any>} query @param {AbortSignal} signal */
 export async function thumbnail(id, query, signal) {
-  const path = `${framePath(id)}.png?${new URLSearchParams(query)}`;
-  const response = await ask(path, { signal, priority: 'low' });
-  return body(response, signal);
+	const path = `${framePath(id)}.png?${new URLSearchParams(query)}`;
+	const response = await ask(path, { signal, priority: 'low' });
+	return body(response, signal);
 }
 
 /** @param {Response} response @param {AbortSignal} signal */
 async function body(response, signal) {
-  try {
-    return await response.blob();
-  } catch (error) {
-    if (signal.aborted) throw error;
-    throw new Problem('gone', 'The connection broke.');
-  }
+	try {
+		return await response.blob();
+	} catch (error) {
+		if (signal.aborted) throw error;
+		throw new Problem('gone', 'The connection broke.');
+	}
 }
 
 /** `queue;dur=0.1, total;dur=9.4` as numbers, ms. @param {string} header @returns {Record<string, number>} */
 export function readTimings(header) {
-  const stages = header.matchAll(/([a-z-]+);dur=([0-9.]+)/g);
-  return Object.fromEntries(Array.from(stages, ([, name, ms]) => [name, Number(ms)]));
+	const stages = header.matchAll(/([a-z-]+);dur=([0-9.]+)/g);
+	return Object.fromEntries(Array.from(stages, ([, name, ms]) => [name, Number(ms)]));
 }

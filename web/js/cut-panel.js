@@ -22,101 +22,101 @@ const inward = (side) => /** @type {Vector} */ ([0, 1, 2].map((axis) => (axis ==
 const short = (v) => /** @type {Vector} */ (v.map((n) => rounded(n, 4)));
 
 export class CutPanel {
-  /** Where the plane cut last; `null`: from the camera, wherever that is. @type {Vector | null} */ #normal = null;
+	/** Where the plane cut last; `null`: from the camera, wherever that is. @type {Vector | null} */ #normal = null;
 
-  /** @param {import('./state.js').Store} store @param {() => import('./api.js').ReadyVolume | null} volume */
-  constructor(store, volume) {
-    this.store = store;
-    this.volume = volume;
-    const ruler = (/** @type {string} */ label, /** @type {() => Vector} */ normal, /** @type {(part: number, moving: boolean) => void} */ change) =>
-      slider(label, { min: 0, max: 1, step: 0.005, change, text: (part) => `${Number((part * this.#span(normal())[1]).toPrecision(3))} mm` });
-    this.depth = ruler('Depth', () => this.#direction, (part, moving) => this.#cut(this.#direction, part, moving));
-    const from = (/** @type {string} */ label, /** @type {() => Vector} */ normal) =>
-      el('button', { type: 'button', class: 'quiet', onclick: () => this.#cut(normal(), this.#depth || 0.5) }, label);
-    const here = from('From here', () => this.#facing);
-    this.sides = SIDES.map((label, side) => from(label, () => inward(side)));
-    this.box = SIDES.map((label, side) => ruler(label, () => inward(side), (part, moving) => this.#trim(side, part, moving)));
-    this.element = el('div', {},
-      section('Cut it open', this.depth.element, el('div', { class: 'from', role: 'group', 'aria-label': 'Cut from' }, here, ...this.sides),
-        el('p', { class: 'hint' }, 'Left and right are the patient’s.')),
-      section('Box', el('div', { class: 'pair box', role: 'group', 'aria-label': 'Take away from' }, ...this.box.map(({ element }) => element)),
-        el('p', {}, el('button', { type: 'button', class: 'quiet', onclick: () => {
-          this.#normal = null;
-          store.set({ plane: null, box: null });
-        } }, 'Make it whole'))));
-    store.subscribe(() => this.show());
-  }
+	/** @param {import('./state.js').Store} store @param {() => import('./api.js').ReadyVolume | null} volume */
+	constructor(store, volume) {
+		this.store = store;
+		this.volume = volume;
+		const ruler = (/** @type {string} */ label, /** @type {() => Vector} */ normal, /** @type {(part: number, moving: boolean) => void} */ change) =>
+			slider(label, { min: 0, max: 1, step: 0.005, change, text: (part) => `${Number((part * this.#span(normal())[1]).toPrecision(3))} mm` });
+		this.depth = ruler('Depth', () => this.#direction, (part, moving) => this.#cut(this.#direction, part, moving));
+		const from = (/** @type {string} */ label, /** @type {() => Vector} */ normal) =>
+			el('button', { type: 'button', class: 'quiet', onclick: () => this.#cut(normal(), this.#depth || 0.5) }, label);
+		const here = from('From here', () => this.#facing);
+		this.sides = SIDES.map((label, side) => from(label, () => inward(side)));
+		this.box = SIDES.map((label, side) => ruler(label, () => inward(side), (part, moving) => this.#trim(side, part, moving)));
+		this.element = el('div', {},
+			section('Cut it open', this.depth.element, el('div', { class: 'from', role: 'group', 'aria-label': 'Cut from' }, here, ...this.sides),
+				el('p', { class: 'hint' }, 'Left and right are the patient’s.')),
+			section('Box', el('div', { class: 'pair box', role: 'group', 'aria-label': 'Take away from' }, ...this.box.map(({ element }) => element)),
+				el('p', {}, el('button', { type: 'button', class: 'quiet', onclick: () => {
+					this.#normal = null;
+					store.set({ plane: null, box: null });
+				} }, 'Make it whole'))));
+		store.subscribe(() => this.show());
+	}
 
-  /** Away from the eye. */
-  get #facing() {
-    return short(scale(axes(this.store.state.camera).back, -1));
-  }
+	/** Away from the eye. */
+	get #facing() {
+		return short(scale(axes(this.store.state.camera).back, -1));
+	}
 
-  get #direction() {
-    return this.#normal ?? this.#facing;
-  }
+	get #direction() {
+		return this.#normal ?? this.#facing;
+	}
 
-  /** See {@link span}. @param {Vector} normal */
-  #span(normal) {
-    const volume = this.volume();
-    return volume ? span(volume, normal) : [0, 0];
-  }
+	/** See {@link span}. @param {Vector} normal */
+	#span(normal) {
+		const volume = this.volume();
+		return volume ? span(volume, normal) : [0, 0];
+	}
 
-  /** How much of the way through the scan lies before a point. @param {Vector} normal @param {Vector} point */
-  #part(normal, point) {
-    const [start, size] = this.#span(normal);
-    return (dot(normal, point) - start) / size;
-  }
+	/** How much of the way through the scan lies before a point. @param {Vector} normal @param {Vector} point */
+	#part(normal, point) {
+		const [start, size] = this.#span(normal);
+		return (dot(normal, point) - start) / size;
+	}
 
-  /** That of the plane. */
-  get #depth() {
-    const { plane } = this.store.state;
-    return plane ? this.#part(plane.normal, plane.point) : 0;
-  }
+	/** That of the plane. */
+	get #depth() {
+		const { plane } = this.store.state;
+		return plane ? this.#part(plane.normal, plane.point) : 0;
+	}
 
-  /** The plane in its middle, and the sides of the box. @returns {Handle[]} */
-  handles() {
-    const { plane, box } = this.store.state;
-    const handle = (/** @type {Vector} */ at, /** @type {Vector} */ along, /** @type {(part: number, moving: boolean) => void} */ change) =>
-      ({ at, along, move: (/** @type {Vector} */ to, /** @type {boolean} */ moving) => change(this.#part(along, to), moving) });
-    const handles = plane ? [handle(plane.point, plane.normal, (part, moving) => this.#cut(plane.normal, Math.max(0.005, Math.min(part, 1)), moving))] : [];
-    if (box) SIDES.forEach((_, side) => {
-      const middle = (/** @type {number} */ axis) => (box.min[axis] + box.max[axis]) / 2;
-      const at = /** @type {Vector} */ ([0, 1, 2].map((axis) => (axis === side >> 1 ? box[side % 2 ? 'max' : 'min'][axis] : middle(axis))));
-      handles.push(handle(at, inward(side), (part, moving) => this.#trim(side, Math.max(0, part), moving)));
-    });
-    return handles;
-  }
+	/** The plane in its middle, and the sides of the box. @returns {Handle[]} */
+	handles() {
+		const { plane, box } = this.store.state;
+		const handle = (/** @type {Vector} */ at, /** @type {Vector} */ along, /** @type {(part: number, moving: boolean) => void} */ change) =>
+			({ at, along, move: (/** @type {Vector} */ to, /** @type {boolean} */ moving) => change(this.#part(along, to), moving) });
+		const handles = plane ? [handle(plane.point, plane.normal, (part, moving) => this.#cut(plane.normal, Math.max(0.005, Math.min(part, 1)), moving))] : [];
+		if (box) SIDES.forEach((_, side) => {
+			const middle = (/** @type {number} */ axis) => (box.min[axis] + box.max[axis]) / 2;
+			const at = /** @type {Vector} */ ([0, 1, 2].map((axis) => (axis === side >> 1 ? box[side % 2 ? 'max' : 'min'][axis] : middle(axis))));
+			handles.push(handle(at, inward(side), (part, moving) => this.#trim(side, Math.max(0, part), moving)));
+		});
+		return handles;
+	}
 
-  /** @param {Vector} normal @param {number} part @param {boolean} [moving] */
-  #cut(normal, part, moving) {
-    const volume = this.volume();
-    if (!volume) return;
-    this.#normal = normal;
-    const { centre } = boundingSphere(volume);
-    const [start, size] = span(volume, normal);
-    const point = short(add(centre, scale(normal, (start + part * size - dot(normal, centre)) / dot(normal, normal))));
-    this.store.set({ plane: part > 0 ? { point, normal } : null }, moving);
-  }
+	/** @param {Vector} normal @param {number} part @param {boolean} [moving] */
+	#cut(normal, part, moving) {
+		const volume = this.volume();
+		if (!volume) return;
+		this.#normal = normal;
+		const { centre } = boundingSphere(volume);
+		const [start, size] = span(volume, normal);
+		const point = short(add(centre, scale(normal, (start + part * size - dot(normal, centre)) / dot(normal, normal))));
+		this.store.set({ plane: part > 0 ? { point, normal } : null }, moving);
+	}
 
-  /** @param {number} side @param {number} part @param {boolean} moving */
-  #trim(side, part, moving) {
-    const start = (/** @type {number} */ at) => inward(at)[at >> 1] * this.#span(inward(at))[0];
-    const whole = { min: short([start(0), start(2), start(4)]), max: short([start(1), start(3), start(5)]) };
-    const box = structuredClone(this.store.state.box ?? whole);
-    const [axis, end, other] = /** @type {const} */ ([side >> 1, side % 2 ? 'max' : 'min', side % 2 ? 'min' : 'max']);
-    const size = whole[other][axis] - whole[end][axis];
-    // Something is left.
-    const most = (box[other][axis] - whole[end][axis]) / size - 0.02;
-    box[end][axis] = rounded(whole[end][axis] + Math.min(part, most) * size, 4);
-    this.store.set({ box: JSON.stringify(box) === JSON.stringify(whole) ? null : box }, moving);
-  }
+	/** @param {number} side @param {number} part @param {boolean} moving */
+	#trim(side, part, moving) {
+		const start = (/** @type {number} */ at) => inward(at)[at >> 1] * this.#span(inward(at))[0];
+		const whole = { min: short([start(0), start(2), start(4)]), max: short([start(1), start(3), start(5)]) };
+		const box = structuredClone(this.store.state.box ?? whole);
+		const [axis, end, other] = /** @type {const} */ ([side >> 1, side % 2 ? 'max' : 'min', side % 2 ? 'min' : 'max']);
+		const size = whole[other][axis] - whole[end][axis];
+		// Something is left.
+		const most = (box[other][axis] - whole[end][axis]) / size - 0.02;
+		box[end][axis] = rounded(whole[end][axis] + Math.min(part, most) * size, 4);
+		this.store.set({ box: JSON.stringify(box) === JSON.stringify(whole) ? null : box }, moving);
+	}
 
-  show() {
-    const { plane, box } = this.store.state;
-    if (plane) this.#normal = plane.normal;
-    this.depth.show(this.#depth);
-    this.sides.forEach((button, side) => button.setAttribute('aria-pressed', String(plane !== null && String(plane.normal) === String(inward(side)))));
-    this.box.forEach((control, side) => control.show(box ? this.#part(inward(side), side % 2 ? box.max : box.min) : 0));
-  }
+	show() {
+		const { plane, box } = this.store.state;
+		if (plane) this.#normal = plane.normal;
+		this.depth.show(this.#depth);
+		this.sides.forEach((button, side) => button.setAttribute('aria-pressed', String(plane !== null && String(plane.normal) === String(inward(side)))));
+		this.box.forEach((control, side) => control.show(box ? this.#part(inward(side), side % 2 ? box.max : box.min) : 0));
+	}
 }

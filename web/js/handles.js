@@ -13,47 +13,47 @@ import { add, dot, scale } from './vector.js';
 const HOLD = 16;
 
 export class Handles {
-  element = el('div', { class: 'handles', 'aria-hidden': 'true' });
+	element = el('div', { class: 'handles', 'aria-hidden': 'true' });
 
-  /** @param {Store} store @param {() => Sphere | null} sphere @param {() => Handle[]} wanted those of now */
-  constructor(store, sphere, wanted) {
-    this.store = store;
-    this.sphere = sphere;
-    this.wanted = wanted;
-    store.subscribe(() => this.draw());
-    new ResizeObserver(() => this.draw()).observe(this.element);
-  }
+	/** @param {Store} store @param {() => Sphere | null} sphere @param {() => Handle[]} wanted those of now */
+	constructor(store, sphere, wanted) {
+		this.store = store;
+		this.sphere = sphere;
+		this.wanted = wanted;
+		store.subscribe(() => this.draw());
+		new ResizeObserver(() => this.draw()).observe(this.element);
+	}
 
-  draw() {
-    const half = Math.min(this.element.clientWidth, this.element.clientHeight) / 2;
-    this.element.replaceChildren(...this.#seen().map(([x, y]) => {
-      const dot = el('span');
-      dot.style.translate = `${x * half}px ${-y * half}px`;
-      return dot;
-    }));
-  }
+	draw() {
+		const half = Math.min(this.element.clientWidth, this.element.clientHeight) / 2;
+		this.element.replaceChildren(...this.#seen().map(([x, y]) => {
+			const dot = el('span');
+			dot.style.translate = `${x * half}px ${-y * half}px`;
+			return dot;
+		}));
+	}
 
-  /** @returns {Point[]} */
-  #seen() {
-    const sphere = this.sphere();
-    return sphere ? this.wanted().map(({ at }) => seenAt(this.store.state.camera, sphere, at).point) : [];
-  }
+	/** @returns {Point[]} */
+	#seen() {
+		const sphere = this.sphere();
+		return sphere ? this.wanted().map(({ at }) => seenAt(this.store.state.camera, sphere, at).point) : [];
+	}
 
-  /** The number of the handle that a pointer takes hold of, or -1. @param {Point} at @param {number} unit pixels */
-  near([x, y], unit) {
-    return this.#seen().findIndex((point) => Math.hypot(point[0] - x, point[1] - y) * unit < HOLD);
-  }
+	/** The number of the handle that a pointer takes hold of, or -1. @param {Point} at @param {number} unit pixels */
+	near([x, y], unit) {
+		return this.#seen().findIndex((point) => Math.hypot(point[0] - x, point[1] - y) * unit < HOLD);
+	}
 
-  /** Moves a handle as far along as a pointer goes, and ends the move where it does not. @param {number} number @param {Sphere} sphere @param {Point} by */
-  drag(number, sphere, [dx, dy]) {
-    const { camera } = this.store.state;
-    const { right, up } = axes(camera);
-    const handle = this.wanted()[number];
-    if (!handle) return;
-    const { at, along, move } = handle;
-    const [x, y] = [dot(along, right), dot(along, up)];
-    // What points to the eye does not run away under a small move.
-    const far = ((x * dx + y * dy) * seenAt(camera, sphere, at).mm) / Math.max(0.2, x * x + y * y);
-    move(add(at, scale(along, far)), dx !== 0 || dy !== 0);
-  }
+	/** Moves a handle as far along as a pointer goes, and ends the move where it does not. @param {number} number @param {Sphere} sphere @param {Point} by */
+	drag(number, sphere, [dx, dy]) {
+		const { camera } = this.store.state;
+		const { right, up } = axes(camera);
+		const handle = this.wanted()[number];
+		if (!handle) return;
+		const { at, along, move } = handle;
+		const [x, y] = [dot(along, right), dot(along, up)];
+		// What points to the eye does not run away under a small move.
+		const far = ((x * dx + y * dy) * seenAt(camera, sphere, at).mm) / Math.max(0.2, x * x + y * y);
+		move(add(at, scale(along, far)), dx !== 0 || dy !== 0);
+	}
 }

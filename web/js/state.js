@@ -66,51 +66,51 @@ export const DEFAULT_SHADING = { ambient: 0.2, diffuse: 0.8, specular: 0.2, shin
 
 /** @type {Camera} */
 export const DEFAULT_CAMERA = {
-  projection: 'parallel', azimuth: 30, elevation: 15, roll: 0, zoom: 1.25, fov_y: 30, target: null,
+	projection: 'parallel', azimuth: 30, elevation: 15, roll: 0, zoom: 1.25, fov_y: 30, target: null,
 };
 
 /** @type {State} */
 export const DEFAULTS = {
-  volume: '',
-  camera: DEFAULT_CAMERA,
-  transfer: null,
-  shading: null,
-  blend: 'composite',
-  window: null,
-  depthCueing: null,
-  plane: null,
-  box: null,
-  background: '#000000',
-  algorithm: 'auto',
-  quality: 'auto',
+	volume: '',
+	camera: DEFAULT_CAMERA,
+	transfer: null,
+	shading: null,
+	blend: 'composite',
+	window: null,
+	depthCueing: null,
+	plane: null,
+	box: null,
+	background: '#000000',
+	algorithm: 'auto',
+	quality: 'auto',
 };
 
 /** @typedef {(state: State, before: State, moving: boolean) => void} Listener */
 
 /** The one place where the state changes. */
 export class Store {
-  /** @type {Set<Listener>} */
-  #listeners = new Set();
+	/** @type {Set<Listener>} */
+	#listeners = new Set();
 
-  /** @param {State} state */
-  constructor(state) {
-    this.state = state;
-  }
+	/** @param {State} state */
+	constructor(state) {
+		this.state = state;
+	}
 
-  /** @param {Partial<State>} patch @param {boolean} [moving] true within a gesture: more of the same will follow at once */
-  set(patch, moving = false) {
-    const before = this.state;
-    this.state = { ...before, ...patch };
-    for (const listener of this.#listeners) listener(this.state, before, moving);
-  }
+	/** @param {Partial<State>} patch @param {boolean} [moving] true within a gesture: more of the same will follow at once */
+	set(patch, moving = false) {
+		const before = this.state;
+		this.state = { ...before, ...patch };
+		for (const listener of this.#listeners) listener(this.state, before, moving);
+	}
 
-  /** @param {Partial<Camera>} patch @param {boolean} [moving] */
-  setCamera(patch, moving = false) {
-    this.set({ camera: { ...this.state.camera, ...patch } }, moving);
-  }
+	/** @param {Partial<Camera>} patch @param {boolean} [moving] */
+	setCamera(patch, moving = false) {
+		this.set({ camera: { ...this.state.camera, ...patch } }, moving);
+	}
 
-  /** @param {Listener} listener */
-  subscribe(listener) {
-    this.#listeners.add(listener);
-  }
+	/** @param {Listener} listener */
+	subscribe(listener) {
+		this.#listeners.add(listener);
+	}
 }

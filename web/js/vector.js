@@ -29,6 +29,6 @@ export const normalized = (a) => scale(a, 1 / (length(a) || 1));
  * @returns {Vector}
  */
 export function turned(a, axis, angle) {
-  const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
-  return add(add(scale(a, cos), scale(cross(axis, a), sin)), scale(axis, dot(axis, a) * (1 - cos)));
+	const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+	return add(add(scale(a, cos), scale(cross(axis, a), sin)), scale(axis, dot(axis, a) * (1 - cos)));
 }

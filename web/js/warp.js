@@ -21,14 +21,14 @@ const product = (a, b) => a.map((_, i) => [0, 1, 2].reduce((sum, k) => sum + a[i
  * @param {Camera} from @param {Camera} to @param {Sphere} sphere @returns {Homography}
  */
 export function carried(from, to, sphere) {
-  if (from === to) return [1, 0, 0, 0, 1, 0, 0, 0, 1];
-  const [a, b] = [axes(from), axes(to)];
-  const [before, now] = [from, to].map((camera) => extent(camera, sphere) / 2);
-  const shift = subtract(from.target ?? sphere.centre, to.target ?? sphere.centre);
-  const row = (/** @type {import('./vector.js').Vector} */ v) => [dot(v, a.right) * before, -dot(v, a.up) * before, dot(v, shift)];
-  const distance = to.projection === 'parallel' ? Infinity : sphere.radius / Math.sin((to.fov_y * Math.PI) / 360);
-  const [x, y, nearer] = [row(scale(b.right, 1 / now)), row(scale(b.up, -1 / now)), row(scale(b.back, 1 / distance))];
-  return [...x, ...y, -nearer[0], -nearer[1], 1 - nearer[2]];
+	if (from === to) return [1, 0, 0, 0, 1, 0, 0, 0, 1];
+	const [a, b] = [axes(from), axes(to)];
+	const [before, now] = [from, to].map((camera) => extent(camera, sphere) / 2);
+	const shift = subtract(from.target ?? sphere.centre, to.target ?? sphere.centre);
+	const row = (/** @type {import('./vector.js').Vector} */ v) => [dot(v, a.right) * before, -dot(v, a.up) * before, dot(v, shift)];
+	const distance = to.projection === 'parallel' ? Infinity : sphere.radius / Math.sin((to.fov_y * Math.PI) / 360);
+	const [x, y, nearer] = [row(scale(b.right, 1 / now)), row(scale(b.up, -1 / now)), row(scale(b.back, 1 / distance))];
+	return [...x, ...y, -nearer[0], -nearer[1], 1 - nearer[2]];
 }
 
 /**
@@ -37,11 +37,11 @@ export function carried(from, to, sphere) {
  * @param {Camera} camera @param {Sphere} sphere @param {Size} view @returns {Homography}
  */
 export function placed({ warp, size, state }, camera, sphere, view) {
-  const [half, wanted] = [size, view].map(({ width, height }) => Math.min(width, height) / 2);
-  const centred = [1 / half, 0, -size.width / 2 / half, 0, 1 / half, -size.height / 2 / half, 0, 0, 1];
-  const spread = [wanted, 0, view.width / 2, 0, wanted, view.height / 2, 0, 0, 1];
-  const picture = product(product(spread, carried(state.camera, camera, sphere)), centred);
-  return warp ? product(picture, warp) : picture;
+	const [half, wanted] = [size, view].map(({ width, height }) => Math.min(width, height) / 2);
+	const centred = [1 / half, 0, -size.width / 2 / half, 0, 1 / half, -size.height / 2 / half, 0, 0, 1];
+	const spread = [wanted, 0, view.width / 2, 0, wanted, view.height / 2, 0, 0, 1];
+	const picture = product(product(spread, carried(state.camera, camera, sphere)), centred);
+	return warp ? product(picture, warp) : picture;
 }
 
 /** As a style's `transform`. @param {Homography} h */
