@@ -147,19 +147,20 @@ const RICH = {
   shading: { ...DEFAULT_SHADING, ambient: 0.3, lights: ['headlight', { direction: [0.5, -0.25, 0.125], intensity: 0.8 }] },
   blend: 'average', window: { center: 40, width: 400 }, depthCueing: { front: 1.2, density: 0.5 },
   plane: { point: [1, -2.5, 0], normal: [0, 0.6, -0.8] }, box: { min: [-1, -2, -3], max: [1, 2, 3.5] },
+  lens: { center: [1, -2, 0.5], radius: 12.5, shows: 'fainter' },
   background: '#20242b', algorithm: 'raycast', quality: 'high',
 };
 
 test('a link holds the whole state, and only what differs from the defaults', () => {
   assert.deepEqual(fromHash(toHash(RICH)), RICH);
-  const other = { ...RICH, transfer: 'ct-bone', shading: false, background: 'transparent' };
+  const other = { ...RICH, transfer: 'ct-bone', shading: false, background: 'transparent', lens: RICH.lens && { ...RICH.lens, shows: /** @type {import('../../web/js/state.js').TransferFunction} */ (RICH.transfer) } };
   assert.deepEqual(fromHash(toHash(other)), other);
   assert.equal(toHash({ ...DEFAULTS, volume: 'head' }), '#volume=head');
   assert.deepEqual(fromHash('#volume=head'), { ...DEFAULTS, volume: 'head' });
 });
 
 test('half a link still shows the scan', () => {
-  for (const broken of ['zoom=', 'azimuth=x', 'target=1,2', 'tf=1:2', 'tf=;;:', 'shading=maybe', 'shading=1,2,3', 'window=,', 'blend=none', 'background=red', 'plane=1,2,3', 'plane=1,2,3,0,0,0', 'box=0,0,0,1,1,0', 'quality=best', 'depth=1', '%E0%A4'])
+  for (const broken of ['zoom=', 'azimuth=x', 'target=1,2', 'tf=1:2', 'tf=;;:', 'shading=maybe', 'shading=1,2,3', 'window=,', 'blend=none', 'background=red', 'plane=1,2,3', 'plane=1,2,3,0,0,0', 'box=0,0,0,1,1,0', 'lens=1,2,3,4', 'lens=1,2,3,0;fainter', 'lens=1,2;x', 'quality=best', 'depth=1', '%E0%A4'])
     assert.deepEqual(fromHash(`#volume=head&${broken}`), { ...DEFAULTS, volume: 'head' }, broken);
 });
 
@@ -180,6 +181,19 @@ test('a zoom is about the shorter side of the picture', () => {
 test('a projection asks for nothing that it does not look at', () => {
   const request = renderRequest({ ...RICH, blend: 'maximum' }, { width: 8, height: 8 }, 'draft');
   assert.deepEqual(Object.keys(request).sort(), ['algorithm', 'blend', 'camera', 'clip', 'image', 'quality', 'window']);
+});
+
+test('a lens is asked for where there can be one', () => {
+  const regions = (/** @type {Partial<State>} */ patch) => renderRequest({ ...RICH, blend: 'composite', ...patch }, { width: 8, height: 8 }, 'draft').regions;
+  const sphere = { center: [1, -2, 0.5], radius: 12.5 };
+  const lens = /** @type {import('../../web/js/state.js').Lens} */ (RICH.lens);
+  assert.deepEqual(regions({}), [{ sphere, opacity: 0.15 }]);
+  assert.deepEqual(regions({ lens: { ...lens, shows: 'ct-bone' } }), [{ sphere, transfer_function: 'ct-bone' }]);
+  const brightest = { ...lens, shows: 'brightest' };
+  assert.deepEqual(regions({ lens: brightest }), [{ sphere, blend: 'maximum' }]);
+  for (const algorithm of /** @type {const} */ (['classified', 'fast-classification'])) assert.equal(regions({ lens: brightest, algorithm }), undefined);
+  assert.equal(regions({ blend: 'minimum' }), undefined);
+  assert.equal(regions({ lens: null }), undefined);
 });
 
 test('a curl command survives quotes', () => {

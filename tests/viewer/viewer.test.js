@@ -360,6 +360,60 @@ test('what cuts is moved by handles on the picture, as long as its panel is open
   await close();
 });
 
+test('a lens shows what is inside, and follows pointer and keys', async () => {
+  const { page, errors, stream, close } = await connected();
+  const without = await picture(page);
+  await page.getByRole('tab', { name: 'Cut' }).click();
+  await page.getByRole('switch', { name: 'A lens in the scan' }).click();
+  await rested(page);
+  const first = await picture(page);
+  assert.notEqual(first.hash, without.hash);
+  const asked = () => stream.sent.findLast((message) => message.request).request.regions;
+  const [{ sphere, opacity }] = asked();
+  assert.ok(opacity < 1);
+  // By the handle in its middle: in the picture's plane, in drafts while it moves, and the scan is not turned.
+  const dot = await page.locator('.handles span').boundingBox();
+  assert.ok(dot);
+  stream.sent.length = 0;
+  await page.mouse.move(dot.x + 9, dot.y + 9);
+  await page.mouse.down();
+  await page.mouse.move(dot.x + 59, dot.y - 21, { steps: 5 });
+  await page.mouse.up();
+  const now = await page.locator('.handles span').boundingBox();
+  assert.ok(now && Math.abs(now.x - dot.x - 50) < 1.5 && Math.abs(now.y - dot.y + 30) < 1.5, `under the pointer: ${JSON.stringify(now)}`);
+  await rested(page);
+  assert.ok(stream.sent.some((message) => message.request?.regions && message.request.quality === 'draft'), 'drafts while it moves');
+  const moved = asked()[0].sphere;
+  assert.equal(moved.radius, sphere.radius);
+  assert.notDeepEqual(moved.center, sphere.center);
+  assert.equal(inLink(page, 'azimuth'), null, 'the scan was not turned');
+  // By keys.
+  const below = page.getByRole('slider', { name: 'From below' });
+  await below.focus();
+  await page.keyboard.press('PageUp');
+  await rested(page);
+  const raised = asked()[0].sphere.center;
+  assert.ok(raised[2] > moved.center[2] && Math.abs(raised[0] - moved.center[0]) < 1e-9);
+  // What it shows, also by another's link.
+  await page.getByLabel('Shows').selectOption({ label: 'The brightest values' });
+  await rested(page);
+  const brightest = await picture(page);
+  assert.deepEqual(asked()[0].blend, 'maximum');
+  await linked(page, 'lens', (lens) => lens === `${[...raised, moved.radius].join(',')};brightest`);
+  const other = await arrived(new URL(page.url()).hash);
+  assert.equal((await picture(other.page)).hash, brightest.hash);
+  await other.close();
+  const preset = page.getByLabel('Shows').locator('option').nth(2);
+  await page.getByLabel('Shows').selectOption({ index: 2 });
+  await rested(page);
+  assert.ok(asked()[0].transfer_function, await preset.textContent() ?? '');
+  await page.getByRole('switch', { name: 'A lens in the scan' }).click();
+  await rested(page);
+  assert.equal((await picture(page)).hash, without.hash);
+  assert.deepEqual(errors, []);
+  await close();
+});
+
 test('the lists are those of the service', async () => {
   const { page, close } = await arrived();
   const contract = await (await fetch(`${service.address}/openapi.yaml`)).text();

@@ -1,8 +1,7 @@
 /**
  * @file Labelled controls: sliders, switches, choices, numbers.
  *
- * Each gives its element and `show`, which sets what it displays without calling back: the state is the truth,
- * controls are redrawn from it.
+ * Each gives its element and `show`, which sets what it displays without calling back.
  */
 import { el } from './dom.js';
 

@@ -1,8 +1,7 @@
 /**
  * @file The orientation cube: how the patient lies in the picture, and a way to turn there.
  *
- * Faces are put in place by an affine map from the camera's axes. For keyboards and screen readers there are six plain buttons
- * beside it.
+ * For keyboards and screen readers there are six plain buttons beside it.
  */
 import { el, svg } from './dom.js';
 import { ANATOMICAL, axes } from './camera.js';

@@ -1,12 +1,8 @@
 /**
  * @file Which frame to ask for next.
  *
- * A pointer moves faster than frames come: if every move asked for one, a slow service would show the past. So the newest view
- * wins: at most two drafts are under way (the second fills the line while the first is drawn), and what came between them is never
- * asked for. Once the view rests, the same is asked for in `standard`, then in `high` where that is fast; both are given up at the
- * next move, which ends the service's work on them too.
- *
- * Where a frame comes from is one function, {@link Source} (stream.js).
+ * The newest view wins: at most two drafts are under way (the second fills the line while the first is drawn). Once the view rests,
+ * the same is asked for in `standard`, then in `high` where that is fast; both are given up at the next move.
  */
 import { Problem } from './api.js';
 

@@ -7,7 +7,7 @@ import { add, dot, scale } from './vector.js';
 /** @import {Store} from './state.js' */
 /** @import {Vector} from './vector.js' */
 /** @typedef {[number, number]} Point picture coordinates */
-/** @typedef {{at: Vector, along: Vector, move: (to: Vector, moving: boolean) => void}} Handle goes `along` a direction of length 1 */
+/** @typedef {{at: Vector, along: Vector | null, move: (to: Vector, moving: boolean) => void}} Handle goes `along` a direction of length 1, or with the pointer */
 
 /** Pixels around a handle in which a pointer takes hold of it. */
 const HOLD = 16;
@@ -51,9 +51,10 @@ export class Handles {
 		const handle = this.wanted()[number];
 		if (!handle) return;
 		const { at, along, move } = handle;
-		const [x, y] = [dot(along, right), dot(along, up)];
+		const { mm } = seenAt(camera, sphere, at);
+		const [x, y] = along ? [dot(along, right), dot(along, up)] : [0, 0];
 		// What points to the eye does not run away under a small move.
-		const far = ((x * dx + y * dy) * seenAt(camera, sphere, at).mm) / Math.max(0.2, x * x + y * y);
-		move(add(at, scale(along, far)), dx !== 0 || dy !== 0);
+		const by = along ? scale(along, ((x * dx + y * dy) * mm) / Math.max(0.2, x * x + y * y)) : add(scale(right, dx * mm), scale(up, dy * mm));
+		move(add(at, by), dx !== 0 || dy !== 0);
 	}
 }

@@ -1,8 +1,7 @@
 /**
  * @file Lamps: lights that stay where they are while the camera goes round the scan.
  *
- * A direction in space is hard to give as three numbers and easy to point at on a ball: the pad is the
- * half of a ball that faces the camera, and where its dot is, the light comes from.
+ * The pad is the half of a ball that faces the camera; where its dot is, the light comes from.
  */
 import { axes } from './camera.js';
 import { slider } from './controls.js';

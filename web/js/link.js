@@ -35,6 +35,10 @@ export function toHash(state) {
 	if (state.depthCueing) pairs.push(['depth', `${state.depthCueing.front},${state.depthCueing.density}`]);
 	if (state.plane) pairs.push(['plane', [...state.plane.point, ...state.plane.normal].join(',')]);
 	if (state.box) pairs.push(['box', [...state.box.min, ...state.box.max].join(',')]);
+	if (state.lens) {
+		const { center, radius, shows } = state.lens;
+		pairs.push(['lens', `${[...center, radius].join(',')};${typeof shows === 'string' ? shows : writeTransfer(shows)}`]);
+	}
 	if (state.background !== DEFAULTS.background) pairs.push(['background', state.background.replace('#', '')]);
 	if (state.algorithm !== DEFAULTS.algorithm) pairs.push(['algorithm', state.algorithm]);
 	if (state.quality !== DEFAULTS.quality) pairs.push(['quality', state.quality]);
@@ -65,6 +69,7 @@ export function fromHash(hash) {
 		depthCueing: depth && { front: depth[0], density: depth[1] },
 		plane: normal?.some(Boolean) ? { point, normal } : null,
 		box: max?.every((mm, axis) => mm > min[axis]) ? { min, max } : null,
+		lens: readLens(text('lens')),
 		background: background === 'transparent' ? background : COLOR.test(background) ? `#${background}` : DEFAULTS.background,
 		algorithm: one(text('algorithm'), ALGORITHMS) ?? DEFAULTS.algorithm,
 		quality: one(text('quality'), QUALITIES) ?? DEFAULTS.quality,
@@ -90,6 +95,14 @@ function numbers(text, count) {
 function vectors(text) {
 	const six = numbers(text, 6) ?? [];
 	return /** @type {Vector[]} */ (six.length ? [six.slice(0, 3), six.slice(3)] : []);
+}
+
+/** `x,y,z,radius;` and what it shows. @param {string} text @returns {import('./state.js').Lens | null} */
+function readLens(text) {
+	const [place, ...shows] = text.split(';');
+	const four = numbers(place, 4);
+	const look = shows.join(';');
+	return four && four[3] > 0 && look ? { center: [four[0], four[1], four[2]], radius: four[3], shows: readTransfer(look) ?? look } : null;
 }
 
 /** `value:opacity:rrggbb` for each point, then `d` and `g` where they are told. @param {TransferFunction} transfer */

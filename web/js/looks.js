@@ -2,8 +2,8 @@
  * @file Which looks a scan is offered.
  *
  * Presets for computed tomography are written in Hounsfield units, and many files are not: "Skin" by its name is then a solid box. The
- * scan's own look, made from the histogram, tells how its units lie: either it is one of the presets, shifted, and then the others are
- * shifted alike; or the units mean nothing, and two looks are drawn from it: all that is no background, and the densest of it.
+ * scan's own look tells how its units lie: either it is one of the presets, shifted, and then the others are shifted alike; or the
+ * units mean nothing, and two looks are drawn from it.
  */
 import { short } from './transfer.js';
 

@@ -135,7 +135,7 @@ function open(id) {
 	if (id === store.state.volume) return;
 	const { projection, fov_y, azimuth, elevation, roll } = store.state.camera;
 	const camera = { ...DEFAULT_CAMERA, projection, fov_y, azimuth, elevation, roll };
-	store.set({ volume: id, camera, transfer: null, shading: null, window: null, plane: null, box: null });
+	store.set({ volume: id, camera, transfer: null, shading: null, window: null, plane: null, box: null, lens: null });
 	const window = look.firstWindow(store.state.blend);
 	if (window) store.set({ window });
 	enter();
@@ -160,7 +160,7 @@ async function enter() {
 	const own = ready.default_preset === AUTOMATIC ? fitted(ready.id, null) : null;
 	const [automatic, counted] = await Promise.all([own?.catch(() => null) ?? null, histogram(ready.id).catch(() => null)]);
 	if (volume()?.id !== ready.id) return;
-	presets.setVolume(ready, automatic);
+	cut.setLooks(presets.setVolume(ready, automatic));
 	editor.setHistogram(counted);
 }
 

@@ -31,7 +31,7 @@ export class PresetList {
 		this.#presets = presets;
 	}
 
-	/** @param {ReadyVolume} volume @param {Fitted | null} automatic its own look, where that is none of the presets */
+	/** Gives those that fit it. @param {ReadyVolume} volume @param {Fitted | null} automatic its own look, where that is none of the presets */
 	setVolume(volume, automatic) {
 		const { fitting, others } = looksFor(this.#presets, volume, automatic);
 		this.#buttons = [];
@@ -40,6 +40,7 @@ export class PresetList {
 		this.others.replaceChildren(...others.map((offer) => this.#button(offer, volume, offer.title)));
 		this.more.hidden = others.length === 0;
 		this.#mark();
+		return fitting;
 	}
 
 	/** @param {Offer} offer @param {ReadyVolume} volume @param {string} label */

@@ -6,7 +6,7 @@
  */
 import { wrapped } from './camera.js';
 
-/** @import {State, Camera} from './state.js' */
+/** @import {State, Camera, Lens} from './state.js' */
 /** @typedef {{width: number, height: number}} Size pixels */
 
 /** @param {number} value @param {number} digits after the point */
@@ -40,6 +40,15 @@ function orbit(camera, size) {
 	};
 }
 
+/** @param {Lens} lens */
+function region({ center, radius, shows }) {
+	const look = shows === 'fainter' ? { opacity: 0.15 } : shows === 'brightest' ? { blend: 'maximum' } : { transfer_function: shows };
+	return { sphere: { center, radius }, ...look };
+}
+
+/** Whether pictures have a lens: projections do not, and voxels that are classified have no brightest values. @param {State} state */
+export const hasLens = ({ lens, blend, algorithm }) => lens !== null && blend === 'composite' && !(lens.shows === 'brightest' && algorithm.includes('classifi'));
+
 /**
  * The body of `POST /v1/volumes/{id}/frame`. Defaults are left out.
  * @param {State} state @param {Size} size @param {'draft' | 'standard' | 'high'} quality @param {boolean} [unwarped] for a page that warps pictures itself
@@ -56,6 +65,7 @@ export function renderRequest(state, size, quality, unwarped) {
 		...(projects ? { blend: state.blend, ...(state.window ? { window: state.window } : {}) } : {}),
 		...(state.depthCueing && !projects ? { depth_cueing: state.depthCueing } : {}),
 		...(clip.length ? { clip } : {}),
+		...(state.lens && hasLens(state) ? { regions: [region(state.lens)] } : {}),
 		...(state.algorithm === 'auto' ? {} : { algorithm: state.algorithm }),
 		quality,
 	};

@@ -41,6 +41,7 @@
 /** @typedef {{center: number, width: number}} Window */
 /** @typedef {{point: Vector, normal: Vector}} Plane what lies where the normal points to is kept */
 /** @typedef {{min: Vector, max: Vector}} Box */
+/** @typedef {{center: Vector, radius: number, shows: 'fainter' | 'brightest' | string | TransferFunction}} Lens a ball in which the scan looks otherwise: as words say, or by a preset's name or points */
 /** @typedef {'composite' | 'maximum' | 'minimum' | 'average'} Blend */
 /** @typedef {'auto' | 'classified' | 'fast-classification' | 'preintegrated' | 'raycast'} Algorithm */
 /** @typedef {'auto' | 'draft' | 'standard' | 'high'} Quality */
@@ -56,6 +57,7 @@
  * @property {{front: number, density: number} | null} depthCueing
  * @property {Plane | null} plane that cuts the scan, world mm
  * @property {Box | null} box outside of which nothing is shown
+ * @property {Lens | null} lens
  * @property {string} background `#rrggbb` or `transparent`
  * @property {Algorithm} algorithm
  * @property {Quality} quality of the picture at rest
@@ -80,6 +82,7 @@ export const DEFAULTS = {
 	depthCueing: null,
 	plane: null,
 	box: null,
+	lens: null,
 	background: '#000000',
 	algorithm: 'auto',
 	quality: 'auto',

@@ -2,10 +2,7 @@
  * @file Frames over one connection to the service, and over HTTP where there is none: the page's only source.
  *
  * The protocol is that of docs/stream.md, kept to its simplest use: every request goes whole and names one quality, which is
- * `moving` too, so that one frame answers it and the scheduler decides alone what comes next. A newer request takes an older one's place.
- *
- * HTTP is the way until a connection is open and again once it has ended: no frame waits for a handshake. A connection is tried
- * after a frame came over HTTP.
+ * `moving` too, so that one frame answers it. HTTP is the way until a connection is open and again once it has ended.
  */
 import { problemIn } from './api.js';
 import { renderRequest } from './request.js';

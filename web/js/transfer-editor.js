@@ -1,8 +1,7 @@
 /**
  * @file Editing a transfer function over the histogram.
  *
- * Points are elements of their own, so that each can be focused, named and moved by keys like a slider. A pointer takes the nearest
- * one. A click beside them adds one; a drag beside them moves and stretches all (window and level).
+ * Points are elements of their own, so that each can be focused, named and moved by keys like a slider.
  */
 import { el } from './dom.js';
 import { heightOf, opacityOf, sampled, short, withChanged, withPoint, withoutPoint } from './transfer.js';
