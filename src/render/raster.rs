@@ -165,25 +165,9 @@ impl<'a> Placed<'a> {
         (0..self.solid.mesh.triangles().len() as u32).into_par_iter().filter_map(rows).collect()
     }
 
-    /// The first and the last column and row whose centres a triangle may cover, the last before the first where there are none. All
-    /// of the picture, where it reaches behind the eye; `None` where all of it is there.
+    /// See [`extent`].
     fn extent(&self, triangle: u32, size: [usize; 2]) -> Option<[[usize; 2]; 2]> {
-        let corners = self.corners(triangle).map(|vertex| self.pixels[vertex]);
-        let in_front = corners.iter().filter(|corner| corner.z > 0.0).count();
-        if in_front < 3 {
-            return (in_front > 0).then_some(size.map(|side| [0, side - 1]));
-        }
-        let corners = corners.map(|corner| corner.truncate() / corner.z);
-        let [low, high] = [DVec2::min, DVec2::max].map(|of| corners.into_iter().reduce(of).expect("three corners"));
-        // A pixel more on either side, for what rounding does.
-        let span = |axis: usize| {
-            let (first, last) = ((low[axis] - 1.5).ceil().max(0.0), (high[axis] + 0.5).floor());
-            if last < 0.0 || first > (size[axis] - 1) as f64 || first.is_nan() || last.is_nan() {
-                return [1, 0];
-            }
-            [first as usize, (last as usize).min(size[axis] - 1)]
-        };
-        Some([span(0), span(1)])
+        extent(self.corners(triangle).map(|vertex| self.pixels[vertex]), size)
     }
 
     /// Draws a triangle into the hits of rows of `width` pixels from `first` on.
@@ -231,7 +215,74 @@ impl<'a> Placed<'a> {
     }
 }
 
+/// The first and the last column and row whose centres a triangle may cover, the last before the first where there are none; `None`
+/// where all of it is behind the eye. `corners` are homogeneous pixel coordinates.
+fn extent(corners: [DVec3; 3], size: [usize; 2]) -> Option<[[usize; 2]; 2]> {
+    let is_in_front = |corner: &DVec3| corner.z > 0.0;
+    if !corners.iter().any(is_in_front) {
+        return None;
+    }
+    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for from in corners.into_iter().filter(is_in_front) {
+        let at = from.truncate() / from.z;
+        (low, high) = (low.min(at), high.max(at));
+        // An edge to behind the eye is seen to run to infinity, towards where it passes the eye's plane.
+        for to in corners.into_iter().filter(|corner| !is_in_front(corner)) {
+            let towards = to.truncate() * from.z - from.truncate() * to.z;
+            low = DVec2::select(towards.cmplt(DVec2::ZERO), DVec2::NEG_INFINITY, low);
+            high = DVec2::select(towards.cmpgt(DVec2::ZERO), DVec2::INFINITY, high);
+        }
+    }
+    // A pixel more on either side, for what rounding does.
+    let span = |axis: usize| {
+        let (first, last) = ((low[axis] - 1.5).ceil().max(0.0), (high[axis] + 0.5).floor());
+        if last < 0.0 || first > (size[axis] - 1) as f64 || first.is_nan() || last.is_nan() {
+            return [1, 0];
+        }
+        [first as usize, (last as usize).min(size[axis] - 1)]
+    };
+    Some([span(0), span(1)])
+}
+
 /// Whether pixels on an edge are of the triangle that lies to this side of it.
 fn owns(edge: DVec3) -> bool {
     edge.x > 0.0 || edge.x == 0.0 && edge.y > 0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SIZE: [usize; 2] = [60, 50];
+
+    fn corner() -> impl Strategy<Value = DVec3> {
+        ([-90.0..150.0f64, -90.0..150.0], prop_oneof![-3.0..3.0f64, 0.5..3.0f64])
+            .prop_map(|([x, y], z)| DVec3::new(x * z.abs(), y * z.abs(), z))
+    }
+
+    proptest! {
+        /// Whatever is in front of the eye and in the picture is within the extent, though other corners are behind it.
+        #[test]
+        fn what_is_seen_of_a_triangle_is_within_its_extent(corners in [corner(), corner(), corner()], shares in [0.0..1.0f64, 0.0..1.0]) {
+            let [a, b] = if shares[0] + shares[1] > 1.0 { shares.map(|share| 1.0 - share) } else { shares };
+            let point = corners[0] * a + corners[1] * b + corners[2] * (1.0 - a - b);
+            prop_assume!(point.z > 1e-9);
+            let [x, y] = (point.truncate() / point.z).floor().to_array();
+            prop_assume!(x >= 0.0 && y >= 0.0 && x < SIZE[0] as f64 && y < SIZE[1] as f64);
+            let [columns, rows] = extent(corners, SIZE).expect("some of it is in front of the eye");
+            prop_assert!((columns[0]..=columns[1]).contains(&(x as usize)), "{x} of {columns:?}");
+            prop_assert!((rows[0]..=rows[1]).contains(&(y as usize)), "{y} of {rows:?}");
+        }
+    }
+
+    #[test]
+    fn a_triangle_that_passes_the_eye_on_one_side_is_not_looked_for_on_the_other() {
+        // From the picture's left to far behind the eye, further to the left.
+        let corners = [DVec3::new(10.0, 20.0, 1.0), DVec3::new(12.0, 30.0, 1.0), DVec3::new(-500.0, -25.0, -1.0)];
+        let [columns, _] = extent(corners, SIZE).unwrap();
+        assert_eq!(columns, [0, 12]);
+        assert_eq!(extent([DVec3::NEG_Z; 3], SIZE), None);
+    }
 }

@@ -16,7 +16,7 @@ use super::error::Problem;
 use super::observe::Rendered;
 use super::render_pool::Ticket;
 use super::request::{GeometryRequest, RenderRequest, RequestError, ResolvedRequest};
-use super::scene::{self, Parts, Scene3d};
+use super::scene::{self, ClientScene, Parts};
 use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
 use crate::classify::labels::Labels;
@@ -35,9 +35,6 @@ const RAW_HEADERS: [HeaderName; 3] = [
     HeaderName::from_static("x-image-height"),
     HeaderName::from_static("x-image-channels"),
 ];
-
-/// What a request without a body asks for: the defaults.
-const EMPTY_REQUEST: &[u8] = b"{}";
 
 /// Clients may keep a frame, but ask whether it is still the one: with the ETag that costs them
 /// 304 and no rendering, and a scan replaced under the same name never shows as the old one.
@@ -58,7 +55,7 @@ pub async fn from_body(
     } else {
         (read_json(&app, request).await?, None)
     };
-    let request = RenderRequest::from_json(if body.is_empty() { EMPTY_REQUEST } else { &body })?;
+    let request = RenderRequest::from_body(&body)?;
     let accepted = |format: &Format| request.clone().with_format(*format).is_ok();
     let offered: Vec<_> = Format::ALL.into_iter().filter(accepted).collect();
     let format = match request.format() {
@@ -197,7 +194,7 @@ impl Asked {
         let matrices = request.matrices();
         let view = self.frame.view.clone();
         let made = app.pool.admit()?.run(move |_| parts.scene(&view, matrices)).await?.0?;
-        let Scene3d { depth, picture, place } = made;
+        let ClientScene { depth, picture, place } = made;
         self.place = Some(place);
         let mut made_from = format!("{} {depth:?}", self.etag);
         self.frame.view = self.frame.view.ending_at(depth);

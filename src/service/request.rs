@@ -180,6 +180,14 @@ impl RenderRequest {
         Self::from_value(json::parse(bytes)?, Spelling::Json)
     }
 
+    /// Reads the body of an HTTP request; an empty one asks for the defaults, too.
+    ///
+    /// # Errors
+    /// As [`Self::from_json`].
+    pub fn from_body(bytes: &[u8]) -> Result<Self, RequestError> {
+        Self::from_json(if bytes.is_empty() { b"{}" } else { bytes })
+    }
+
     /// Reads a query string (without the `?`) of the short names in [`OPTIONS`].
     ///
     /// # Errors

@@ -44,7 +44,7 @@ struct Part {
 
 /// A scene, ready to be merged with.
 #[derive(Debug)]
-pub struct Scene3d {
+pub struct ClientScene {
     pub depth: Arc<SceneDepth>,
     /// Opaque.
     pub picture: Option<Image>,
@@ -107,7 +107,7 @@ impl Parts {
     ///
     /// # Errors
     /// 422 where there are no matrices, and where a part is not what it should be.
-    pub fn scene(self, view: &View, matrices: Option<[DMat4; 2]>) -> Result<Scene3d, Problem> {
+    pub fn scene(self, view: &View, matrices: Option<[DMat4; 2]>) -> Result<ClientScene, Problem> {
         let told = "expected matrices: a depth buffer means nothing without its projection";
         let [camera, projection] = matrices.ok_or_else(|| Problem::refused("/camera", told))?;
         let values = self.depth.depths(view.size())?;
@@ -117,7 +117,7 @@ impl Parts {
         }
         let depth = Arc::new(SceneDepth::from_window(&values, view, &projection, &camera));
         let picture = self.color.as_ref().map(|color| color.picture(view.size())).transpose()?;
-        Ok(Scene3d { depth, picture, place: self.place })
+        Ok(ClientScene { depth, picture, place: self.place })
     }
 }
 

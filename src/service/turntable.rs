@@ -95,7 +95,7 @@ pub async fn from_body(
     let turn = Turn::read(query.as_deref().unwrap_or_default(), app.config.image.max_frames.get())?;
     let headers = request.headers().clone();
     let body = read_json(&app, request).await?;
-    let request = RenderRequest::from_json(if body.is_empty() { b"{}" } else { &body })?;
+    let request = RenderRequest::from_body(&body)?;
     let offered = Container::ALL.map(Container::media_type);
     let container = negotiate::choose(&headers, &offered).map(|at| Container::ALL[at]).ok_or(Problem::NotAcceptable)?;
     let format = match (container, request.format()) {

@@ -137,4 +137,11 @@ async fn geometry_that_cannot_be_is_refused() {
             "{geometry}"
         );
     }
+    // A mesh has room in a frame, and so many of it have not.
+    let many = SQUARE.to_owned() + &"f 1 2 3\n".repeat(40_000);
+    let body: Value = upload(&service, "model/obj", many).await.json().await.unwrap();
+    let mesh = json!({"mesh": body["id"]});
+    assert_eq!(service.post(FRAME, &json!({"geometry": [mesh]}).to_string()).await.status(), 200);
+    let problem = problem(service.post(FRAME, &json!({"geometry": vec![mesh; 32]}).to_string()).await).await;
+    assert_eq!((&problem["status"], &problem["errors"][0]["pointer"]), (&422.into(), &"/geometry".into()), "{problem}");
 }
