@@ -101,6 +101,10 @@ fn pieces(
             count += 2;
         }
     }
+    if count == 0 {
+        found(None, [enter, leave]);
+        return;
+    }
     ends[..count].sort_unstable_by(f64::total_cmp);
     // Pieces end where the region that holds them does, not where another's shape is passed within it.
     let mut piece: Option<(Option<u8>, [f64; 2])> = None;
@@ -230,8 +234,11 @@ impl Layers {
 
     /// The layers there are, front to back.
     pub fn which(&self) -> BTreeSet<Which> {
-        let of_scanline =
-            |scanline: &Scanline| scanline.pieces.iter().map(|(_, which, _)| *which).collect::<BTreeSet<_>>();
+        let of_scanline = |scanline: &Scanline| {
+            // Neighbours are mostly of the same.
+            let changes = scanline.pieces.chunk_by(|a, b| a.1 == b.1);
+            changes.map(|pieces| pieces[0].1).collect::<BTreeSet<_>>()
+        };
         self.scanlines
             .par_iter()
             .map(of_scanline)

@@ -48,6 +48,12 @@ impl ClippedPixels {
         &self.open
     }
 
+    /// True where not all is left of some open pixel.
+    #[inline(always)]
+    pub fn cuts_any(&self) -> bool {
+        self.cut.iter().any(|&bits| bits != 0)
+    }
+
     /// True where not all is left of one of up to 64 pixels from `u` on.
     #[inline(always)]
     pub fn cuts(&self, u: usize, length: usize) -> bool {

@@ -199,11 +199,12 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             cued(u, cut(sample, left))
         };
         let opaque = self.opaque;
+        let is_cut = self.factorization.is_clipped() && clipped.cuts_any();
         match (has_lower, cue) {
-            (true, _) if self.factorization.is_clipped() => {
+            (true, _) if is_cut => {
                 blend_clipped::<true>(scanline, touched, around, |u, sample| left(u, finish(sample)), opaque);
             }
-            (false, _) if self.factorization.is_clipped() => {
+            (false, _) if is_cut => {
                 blend_clipped::<false>(scanline, touched, around, |u, sample| left(u, finish(sample)), opaque);
             }
             (true, None) => blend::<true>(scanline, touched, around, |_, sample| finish(sample), opaque),
