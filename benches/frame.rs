@@ -19,6 +19,7 @@ fn frames(criterion: &mut Criterion) {
         classification: Some(&classification),
         encodings: Some(&encodings),
         labels: None,
+        shadow: None,
     };
     let view = |projection, azimuth, elevation| {
         let orbit = Orbit { projection, azimuth, elevation, zoom: 1.3, ..Orbit::default() };

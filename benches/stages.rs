@@ -52,6 +52,7 @@ fn stages(criterion: &mut Criterion) {
         classification: Some(&classification),
         encodings: Some(&encodings),
         labels: None,
+        shadow: None,
     };
     let camera = Camera::Orbit(Orbit { azimuth: 30.0, elevation: 10.0, zoom: 1.3, ..Orbit::default() });
     let view = View::new(&camera, volume.centre(), volume.radius(), 512, 512).expect("an orbit is sound");

@@ -13,6 +13,7 @@ use shearwarp::classify::presets::FittedPresets;
 use shearwarp::classify::{Classification, Encodings};
 use shearwarp::mesh::formats::{self, MeshFormat};
 use shearwarp::render::raster::Solid;
+use shearwarp::render::shadow::Shadow;
 use shearwarp::render::{Cancel, Image, Scene, Timings, View};
 use shearwarp::service;
 use shearwarp::service::request::{
@@ -156,6 +157,8 @@ pub struct Stage {
     of_regions: Vec<Option<Classified>>,
     /// A segmentation, and its tables.
     labels: Option<(Volume, LabelTables)>,
+    /// Where a light casts one.
+    shadow: Option<Shadow>,
     /// Meshes.
     solids: Vec<Solid>,
     pub request: RenderRequest,
@@ -207,8 +210,18 @@ impl Stage {
         let mut looks = resolved.looks().map(|look| Classified::build(&prepared, look));
         let classified = looks.next().flatten();
         let of_regions = looks.collect();
+        let shadow = resolved.shadows.as_ref().map(|told| {
+            told.cast(&Scene {
+                prepared: &prepared,
+                transfer: &resolved.look.transfer,
+                classification: None,
+                encodings: None,
+                labels: labels.as_ref().map(by_label),
+                shadow: None,
+            })
+        });
         progress.finish_and_clear();
-        Ok(Self { volume, prepared, classified, of_regions, labels, solids, request, resolved })
+        Ok(Self { volume, prepared, classified, of_regions, labels, shadow, solids, request, resolved })
     }
 
     /// The view with the camera turned by `degrees` about the vertical axis.
@@ -223,18 +236,24 @@ impl Stage {
             .resolved
             .looks()
             .zip([&self.classified].into_iter().chain(&self.of_regions))
-            .map(|(look, classified)| Scene {
+            .enumerate()
+            .map(|(nth, (look, classified))| Scene {
                 prepared: &self.prepared,
                 transfer: &look.transfer,
                 classification: classified.as_ref().map(|c| &c.classification),
                 encodings: classified.as_ref().and_then(|c| c.encodings.as_ref()).map(|(encodings, _)| encodings),
-                labels: self.labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.scalars(), tables }),
+                labels: self.labels.as_ref().map(by_label),
+                shadow: self.shadow.as_ref().filter(|_| nth == 0),
             })
             .collect();
         self.resolved
             .render(view, &scenes, &self.solids, &Cancel::default())
             .map_err(|error| Failure::Usage(error.to_string()))
     }
+}
+
+fn by_label((labels, tables): &(Volume, LabelTables)) -> Labels<'_> {
+    Labels { voxels: labels.scalars(), tables }
 }
 
 /// The labels that a request names by their file.

@@ -1,6 +1,6 @@
 //! Emission and absorption along a ray, at the midpoints of its steps.
 
-use glam::{DVec3, Vec4};
+use glam::{DVec3, DVec4, Vec4};
 
 use super::Stretch;
 use super::field::{Field, Place};
@@ -8,6 +8,7 @@ use crate::classify::labels::Labels;
 use crate::classify::summed_area::octree_for;
 use crate::classify::transfer::{TransferFunction, extinction};
 use crate::render::lighting::{AxialDepth, lit};
+use crate::render::shadow::Shadow;
 use crate::render::{DepthCueing, Ray, Sampling, Scene, Settings, Shading, View};
 use crate::volume::Volume;
 use crate::volume::gradient::Code;
@@ -22,6 +23,7 @@ pub(super) struct Medium<'a, T> {
     transfer: &'a TransferFunction,
     reference_length: f64,
     shading: Option<&'a Shading>,
+    shadow: Option<&'a [u8]>,
     depth_cueing: Option<(DepthCueing, AxialDepth)>,
     sampling: Sampling,
     labels: Option<Labels<'a>>,
@@ -48,6 +50,7 @@ impl<'a, T: Code> Medium<'a, T> {
             transfer,
             reference_length: transfer.reference_length(volume.smallest_spacing()),
             shading: settings.shading.as_ref(),
+            shadow: scene.shadow.map(Shadow::lacking),
             depth_cueing: settings.depth_cueing.map(|cueing| (cueing, AxialDepth::new(view, volume))),
             sampling: settings.sampling,
             labels: scene.labels,
@@ -126,7 +129,14 @@ impl<'a, T: Code> Medium<'a, T> {
             return (color, tau);
         }
         let gradient = self.field.gradient(place);
-        let color = self.shading.map_or(color, |shading| lit(color, gradient, to_eye, shading));
+        let color =
+            self.shading.map_or(color, |shading| lit(color, gradient, to_eye, shading, self.transmittance(place)));
         (color, tau * self.transfer.gradient_factor(gradient.length()))
+    }
+
+    /// How much of the light that casts shadows comes through.
+    fn transmittance(&self, place: Place) -> f64 {
+        let lacking = |shadow: &[u8]| self.field.interpolated(place, |index| DVec4::splat(shadow[index].into())).x;
+        self.shadow.map_or(1.0, |shadow| 1.0 - lacking(shadow) / 255.0)
     }
 }

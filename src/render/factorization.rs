@@ -122,7 +122,8 @@ impl Factorization {
     pub fn parts(view: &View, volume: &Volume) -> Result<Vec<Self>, RenderError> {
         let parts = match *view.rays() {
             Rays::Parallel { corner, dx, dy, direction } => {
-                vec![Self::parallel([dx, dy, corner], direction, view, volume)]
+                let whole = Self::parallel([dx, dy, corner], direction, volume);
+                vec![whole.clipped(view, &volume.world_from_index())]
             }
             Rays::Perspective { eye, corner, dx, dy } => perspective::parts([dx, dy, corner], eye, view, volume),
         };
@@ -135,9 +136,14 @@ impl Factorization {
         Ok(parts)
     }
 
+    /// Rays along a direction (world, unit), whatever the picture.
+    pub fn along_rays(direction: DVec3, volume: &Volume) -> Self {
+        Self::parallel([DVec3::ZERO, DVec3::ZERO, volume.centre()], direction, volume)
+    }
+
     /// A parallel view: rays along `direction` from points that `point_from_image` gives as columns for
     /// x, y and 1.
-    fn parallel([dx, dy, corner]: [DVec3; 3], direction: DVec3, view: &View, volume: &Volume) -> Self {
+    fn parallel([dx, dy, corner]: [DVec3; 3], direction: DVec3, volume: &Volume) -> Self {
         let world_from_index = volume.world_from_index();
         let index_from_world = world_from_index.inverse();
         let along = index_from_world.transform_vector3(direction);
@@ -173,7 +179,19 @@ impl Factorization {
             clip_bounds: vec![],
             limits: None,
         }
-        .clipped(view, &world_from_index)
+    }
+
+    /// From an element to the next along i, j, k, of an array in the volume's order (x fastest) that has so many of them along
+    /// i, j, k.
+    pub fn strides(&self, counts: [usize; 3]) -> [usize; 3] {
+        let permutation = PERMUTATIONS[self.principal_axis];
+        let (mut strides, mut stride) = ([0; 3], 1);
+        for axis in 0..3 {
+            let place = permutation.iter().position(|&a| a == axis).expect("a permutation of the axes");
+            strides[place] = stride;
+            stride *= counts[place];
+        }
+        strides
     }
 
     /// Slices from the front one to the last.

@@ -13,24 +13,28 @@ pub struct Lighting {
     specular: f32,
     /// The exponent's whole part and the rest.
     shininess: (u32, f32),
+    /// The factor where there is no gradient.
+    facing: f32,
     /// Towards the light (`None`: the eye), and its intensity.
     lights: Vec<(Option<Vec3>, f32)>,
 }
 
 impl Lighting {
-    /// For the lights and coefficients of `shading`.
-    pub fn new(shading: &Shading) -> Self {
-        let light = |light: &Light| match *light {
-            Light::Headlight => (None, 1.0),
-            Light::Directional { direction, intensity } => {
-                (Some(DVec3::normalize(direction).as_vec3()), intensity as f32)
-            }
+    /// For the lights and coefficients of `shading`, where so much of the light that casts shadows comes through.
+    pub fn new(shading: &Shading, transmittance: f64) -> Self {
+        let light = |light: &Light| {
+            let towards = match *light {
+                Light::Headlight => None,
+                Light::Directional { direction, .. } => Some(DVec3::normalize(direction).as_vec3()),
+            };
+            (towards, light.intensity(transmittance) as f32)
         };
         Self {
             ambient: shading.ambient as f32,
             diffuse: shading.diffuse as f32,
             specular: shading.specular as f32,
             shininess: (shading.shininess as u32, shading.shininess.fract() as f32),
+            facing: shading.facing(transmittance) as f32,
             lights: shading.lights.iter().map(light).collect(),
         }
     }
@@ -91,7 +95,7 @@ impl Lighting {
         }
         for n in 0..N {
             let flat = gradient[0][n] == 0.0 && gradient[1][n] == 0.0 && gradient[2][n] == 0.0;
-            factors[n] = if flat { self.ambient + self.diffuse } else { factors[n] };
+            factors[n] = if flat { self.facing } else { factors[n] };
             addends[n] = if flat { 0.0 } else { addends[n] };
         }
         [factors, addends]
@@ -118,20 +122,22 @@ impl Lighting {
     }
 }
 
-/// A sample's colour under the lights, by its gradient (world, of any length) and the direction to the eye (world, unit): ambient and diffuse times the colour, specular added, at most 1.
-pub fn lit(color: DVec3, gradient: DVec3, to_eye: DVec3, shading: &Shading) -> DVec3 {
+/// A sample's colour under the lights, by its gradient (world, of any length) and the direction to the eye (world, unit): ambient and
+/// diffuse times the colour, specular added, at most 1. So much of the light that casts shadows comes through.
+pub fn lit(color: DVec3, gradient: DVec3, to_eye: DVec3, shading: &Shading, transmittance: f64) -> DVec3 {
     let Some(normal) = gradient.try_normalize() else {
-        return (color * (shading.ambient + shading.diffuse)).min(DVec3::ONE);
+        return (color * shading.facing(transmittance)).min(DVec3::ONE);
     };
     let (mut diffuse, mut specular) = (shading.ambient, 0.0);
     for light in &shading.lights {
-        let (towards, half, intensity) = match *light {
-            Light::Headlight => (to_eye, to_eye, 1.0),
-            Light::Directional { direction, intensity } => {
+        let (towards, half) = match *light {
+            Light::Headlight => (to_eye, to_eye),
+            Light::Directional { direction, .. } => {
                 let towards = direction.normalize();
-                (towards, (towards + to_eye).try_normalize().unwrap_or(to_eye), intensity)
+                (towards, (towards + to_eye).try_normalize().unwrap_or(to_eye))
             }
         };
+        let intensity = light.intensity(transmittance);
         diffuse += intensity * shading.diffuse * normal.dot(towards).abs();
         specular += intensity * shading.specular * normal.dot(half).abs().powf(shading.shininess);
     }
@@ -175,7 +181,7 @@ mod tests {
 
     #[test]
     fn a_surface_that_faces_the_headlight_gets_all_of_it() {
-        let lighting = Lighting::new(&Shading { shininess: 20.5, ..Shading::default() });
+        let lighting = Lighting::new(&Shading { shininess: 20.5, ..Shading::default() }, 1.0);
         let c = 0.6f32;
         let gradient = [[-3.0, 0.0, 0.0, 5.0 * 0.8], [0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 5.0 * c]];
         let [factors, addends] = lighting.shade(&gradient, &[[0.0; 4], [0.0; 4], [1.0; 4]]);
@@ -189,8 +195,8 @@ mod tests {
 
     #[test]
     fn a_light_from_the_side_has_its_highlight_half_way() {
-        let light = Light::Directional { direction: DVec3::new(2.0, 0.0, 0.0), intensity: 0.5 };
-        let lighting = Lighting::new(&Shading { lights: vec![light], ..Shading::default() });
+        let light = Light::Directional { direction: DVec3::new(2.0, 0.0, 0.0), intensity: 0.5, shadows: false };
+        let lighting = Lighting::new(&Shading { lights: vec![light], ..Shading::default() }, 1.0);
         let [factor, addend] = lighting.shade(&[[1.0], [0.0], [1.0]], &[[0.0], [0.0], [1.0]]);
         assert!((factor[0] - (0.2 + 0.4 * 0.5f32.sqrt())).abs() < 1e-6);
         assert!((addend[0] - 0.1).abs() < 1e-6);

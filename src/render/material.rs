@@ -141,12 +141,57 @@ impl Light for ByRay<'_> {
     }
 }
 
-/// Any light: for voxels that have colours of their own, where it is not asked for in the innermost loop.
+/// Any light that casts no shadows.
 #[derive(Clone, Copy, Debug)]
-pub enum AnyLight<'a> {
+pub enum Shadowless<'a> {
     Unlit,
     ByNormal(ByNormal<'a>),
     ByRay(ByRay<'a>),
+}
+
+impl Shadowless<'_> {
+    #[inline(always)]
+    fn shade<const N: usize>(self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2] {
+        match self {
+            Self::Unlit => Unlit.shade(normals, at),
+            Self::ByNormal(light) => light.shade(normals, at),
+            Self::ByRay(light) => light.shade(normals, at),
+        }
+    }
+}
+
+/// Any light, asked for what it is voxel by voxel: where there are shadows, or voxels have colours of their own.
+#[derive(Clone, Copy, Debug)]
+pub struct AnyLight<'a> {
+    pub light: Shadowless<'a>,
+    /// The light where the one that casts shadows is gone, and how much of that each voxel lacks, in 255ths.
+    pub shadow: Option<(Shadowless<'a>, Stored<'a, u8>)>,
+}
+
+impl Light for AnyLight<'_> {
+    const LIT: bool = true;
+    const BLOCKS: bool = false;
+
+    #[inline(always)]
+    fn shade<const N: usize>(self, normals: &[u16; N], [i, j, k]: [usize; 3]) -> [[f32; N]; 2] {
+        let mut light = self.light.shade(normals, [i, j, k]);
+        if let Some((without, lacking)) = self.shadow {
+            let without = without.shade(normals, [i, j, k]);
+            for n in 0..N {
+                let lacking = shadowed(lacking.at([i + n, j, k]));
+                for term in 0..2 {
+                    light[term][n] += (without[term][n] - light[term][n]) * lacking;
+                }
+            }
+        }
+        light
+    }
+}
+
+/// 255ths as a fraction.
+#[inline(always)]
+pub fn shadowed(lacking: u8) -> f32 {
+    f32::from(lacking) / 255.0
 }
 
 /// Voxels that look each as they are, and not by their codes alone. What is interpolated between them follows Kraus and Bürger 2008.
@@ -174,11 +219,7 @@ impl Light for Painted<'_> {
 
     #[inline(always)]
     fn shade<const N: usize>(self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2] {
-        match self.light {
-            AnyLight::Unlit => Unlit.shade(normals, at),
-            AnyLight::ByNormal(light) => light.shade(normals, at),
-            AnyLight::ByRay(light) => light.shade(normals, at),
-        }
+        self.light.shade(normals, at)
     }
 
     #[inline(always)]

@@ -11,6 +11,7 @@ pub mod raster;
 pub mod ray_light;
 pub mod regions;
 pub mod shade;
+pub mod shadow;
 mod shear_image;
 mod shear_warp;
 pub mod slab;
@@ -30,6 +31,7 @@ use crate::simd;
 use crate::volume::{PreparedVolume, Volume};
 use factorization::Factorization;
 pub use image::Image;
+use shadow::Shadow;
 pub use view::{Ball, Camera, Clip, HalfSpace, LookAt, Orbit, Projection, Ray, View, ViewError};
 
 /// Accumulated opacity at which a pixel is done: what is left of the light would change an 8-bit
@@ -222,7 +224,38 @@ pub enum Light {
         /// Towards the light, world; of any length above 0.
         direction: DVec3,
         intensity: f64,
+        /// Whether what lies before a sample takes some of it ([`shadow`]); of several lights one at most.
+        shadows: bool,
     },
+}
+
+impl Shading {
+    /// Where the light is that casts shadows: towards it, world.
+    pub fn shadow_light(&self) -> Option<DVec3> {
+        self.lights.iter().find_map(|light| match *light {
+            Light::Directional { direction, shadows: true, .. } => Some(direction),
+            _ => None,
+        })
+    }
+
+    /// The factor on colours that have no gradient, which all lights meet alike, where so much of the light that casts
+    /// shadows comes through.
+    fn facing(&self, transmittance: f64) -> f64 {
+        let sum = |transmittance| self.lights.iter().map(|light| light.intensity(transmittance)).sum::<f64>();
+        let (left, all) = (sum(transmittance), sum(1.0));
+        self.ambient + self.diffuse * if all > 0.0 { left / all } else { 1.0 }
+    }
+}
+
+impl Light {
+    /// Its intensity, where so much of the light that casts shadows comes through.
+    fn intensity(&self, transmittance: f64) -> f64 {
+        match *self {
+            Self::Headlight => 1.0,
+            Self::Directional { intensity, shadows: true, .. } => intensity * transmittance,
+            Self::Directional { intensity, .. } => intensity,
+        }
+    }
 }
 
 /// What lies behind the volume.
@@ -363,6 +396,8 @@ pub struct Scene<'a> {
     /// A segmentation; the transfer function is then the [`crate::classify::labels::union`] of all. For all but
     /// [`Algorithm::Preintegrated`].
     pub labels: Option<Labels<'a>>,
+    /// Of the light that casts shadows ([`Shading::shadow_light`]); without, none are seen.
+    pub shadow: Option<&'a Shadow>,
 }
 
 /// Refuses what [`render`] would refuse, before anything is built or queued for it.

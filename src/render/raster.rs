@@ -68,7 +68,7 @@ pub fn draw(
         let (placed, solid) = (&placed[hit.solid as usize], &solids[hit.solid as usize]);
         let mut color = DVec3::from_array(solid.color.map(f64::from));
         if let Some(shading) = &settings.shading {
-            color = lit(color, placed.normal(hit), -ray.direction, shading);
+            color = lit(color, placed.normal(hit), -ray.direction, shading, 1.0);
         }
         if let Some((cueing, depth)) = &cue {
             let point = ray.origin + ray.direction * hit.distance;

@@ -28,20 +28,22 @@ pub struct RayLight {
 }
 
 impl RayLight {
-    /// For a part of a perspective view of `volume`; `None` where rays are parallel.
-    pub fn new(shading: &Shading, volume: &Volume, factorization: &Factorization) -> Option<Self> {
+    /// For a part of a perspective view of `volume`, where so much of the light that casts shadows comes through; `None` where
+    /// rays are parallel.
+    pub fn new(shading: &Shading, transmittance: f64, volume: &Volume, factorization: &Factorization) -> Option<Self> {
         let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
         let frame_from_world = frame.world_from_frame.transpose();
         let turned = |light: &Light| match *light {
             Light::Headlight => Light::Headlight,
-            Light::Directional { direction, intensity } => {
-                Light::Directional { direction: frame_from_world * direction, intensity }
+            Light::Directional { direction, intensity, shadows } => {
+                Light::Directional { direction: frame_from_world * direction, intensity, shadows }
             }
         };
         let lights = shading.lights.iter().map(turned).collect();
         let steps = frame_from_world * factorization.world_from_steps(volume);
         let eye = steps * factorization.eye()?;
-        Some(Self { lighting: Lighting::new(&Shading { lights, ..shading.clone() }), steps, eye })
+        let lighting = Lighting::new(&Shading { lights, ..shading.clone() }, transmittance);
+        Some(Self { lighting, steps, eye })
     }
 
     /// Factors on and addends to the colours of consecutive voxels from (i, j, k) on, by their normals' codes.

@@ -21,8 +21,8 @@ pub struct ShadingTable {
 
 impl ShadingTable {
     /// For rays along `forward` (world, unit), with normals kept in a frame that `world_from_frame`
-    /// turns into the world.
-    pub fn new(shading: &Shading, forward: DVec3, world_from_frame: DMat3) -> Self {
+    /// turns into the world, where so much of the light that casts shadows comes through.
+    pub fn new(shading: &Shading, transmittance: f64, forward: DVec3, world_from_frame: DMat3) -> Self {
         let frame_from_world = world_from_frame.transpose();
         let to_eye = -forward;
         let lights: Vec<[DVec3; 2]> = shading
@@ -40,14 +40,10 @@ impl ShadingTable {
         let mut entries = vec![[shading.ambient as f32, 0.0]; NORMAL_CODES];
         entries.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, entries)| {
             for (light, [towards, half]) in shading.lights.iter().zip(&lights) {
-                let intensity = match *light {
-                    Light::Headlight => 1.0,
-                    Light::Directional { intensity, .. } => intensity,
-                };
-                add_light(entries, chunk * CHUNK, shading, intensity, *towards, *half);
+                add_light(entries, chunk * CHUNK, shading, light.intensity(transmittance), *towards, *half);
             }
         });
-        entries[usize::from(NO_NORMAL)] = [(shading.ambient + shading.diffuse) as f32, 0.0];
+        entries[usize::from(NO_NORMAL)] = [shading.facing(transmittance) as f32, 0.0];
         Self { entries }
     }
 
@@ -117,7 +113,7 @@ mod tests {
     #[test]
     fn a_surface_that_faces_the_headlight_gets_all_of_it() {
         let shading = Shading::default();
-        let table = ShadingTable::new(&shading, DVec3::Y, DMat3::IDENTITY);
+        let table = ShadingTable::new(&shading, 1.0, DVec3::Y, DMat3::IDENTITY);
         let code = encode_normal(0.0, -1.0, 0.0);
         let cosine = decode_normal(code).y.abs();
         let [factor, addend] = table.entries()[usize::from(code)];

@@ -123,22 +123,35 @@ fn part(
     Ok(image)
 }
 
-/// What depends on the view, of volumes that look the same: light by normal (in perspective there is none, for every ray has
-/// its own).
+/// What depends on the view, of volumes that look the same.
 struct Tables {
-    shading: Option<ShadingTable>,
-    ray_light: Option<RayLight>,
+    light: LightTable,
+    /// The same where the light that casts shadows is gone, if one does.
+    in_shadow: Option<LightTable>,
+}
+
+/// What a volume is lit by.
+enum LightTable {
+    Off,
+    /// Rays are parallel.
+    ByNormal(ShadingTable),
+    /// Each is lit along its own.
+    ByRay(RayLight),
 }
 
 impl Tables {
     fn new(scene: &Scene<'_>, settings: &Settings, factorization: &Factorization) -> Self {
-        let (volume, shading) = (scene.prepared.volume(), settings.shading.as_ref());
-        if let Some(ray_light) = shading.and_then(|shading| RayLight::new(shading, volume, factorization)) {
-            return Self { shading: None, ray_light: Some(ray_light) };
-        }
-        let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-        let table = |shading| ShadingTable::new(shading, factorization.direction, frame.world_from_frame);
-        Self { shading: shading.map(table), ray_light: None }
+        let volume = scene.prepared.volume();
+        let Some(shading) = &settings.shading else { return Self { light: LightTable::Off, in_shadow: None } };
+        let table = |transmittance| match RayLight::new(shading, transmittance, volume, factorization) {
+            Some(ray_light) => LightTable::ByRay(ray_light),
+            None => {
+                let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
+                let forward = factorization.direction;
+                LightTable::ByNormal(ShadingTable::new(shading, transmittance, forward, frame.world_from_frame))
+            }
+        };
+        Self { light: table(1.0), in_shadow: scene.shadow.map(|_| table(0.0)) }
     }
 }
 
@@ -148,9 +161,7 @@ struct Pass<'a> {
     scene: &'a Scene<'a>,
     classification: &'a Classification,
     factorization: &'a Factorization,
-    /// Where the volume is shaded: by normal under parallel projection, by ray in perspective.
-    table: Option<&'a ShadingTable>,
-    ray_light: Option<&'a RayLight>,
+    tables: &'a Tables,
     cue: Option<&'a Cue>,
     settings: &'a Settings,
     cancel: &'a Cancel,
@@ -172,17 +183,7 @@ impl<'a> Pass<'a> {
         cancel: &'a Cancel,
     ) -> Self {
         let classification = scene.classification.expect("the algorithm needs a classification");
-        let Tables { shading, ray_light } = tables;
-        Self {
-            scene,
-            classification,
-            factorization,
-            table: shading.as_ref(),
-            ray_light: ray_light.as_ref(),
-            cue,
-            settings,
-            cancel,
-        }
+        Self { scene, classification, factorization, tables, cue, settings, cancel }
     }
 
     /// The image over a premultiplied pixel.

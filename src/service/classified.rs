@@ -26,14 +26,17 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::cache_folder::CacheFolder;
 use super::metrics;
 use super::render_pool::{PoolError, RenderPool, Ticket};
-use super::request::{Look, ResolvedLabels};
+use super::request::{Look, ResolvedLabels, ResolvedShadows};
 use super::store::LoadedVolume;
-use crate::classify::labels::LabelTables;
+use crate::classify::labels::{LabelTables, Labels};
 use crate::classify::{Classification, Encodings, Purpose, TransferFunction};
-use crate::render::Cancel;
+use crate::render::shadow::Shadow;
+use crate::render::{Cancel, Scene};
 
 /// Share of the cache that is for tables, which are small beside encodings: half of it for those of labels.
 const TABLES_SHARE: u64 = 4;
+/// And for shadows, a byte for each voxel.
+const SHADOWS_SHARE: u64 = 8;
 
 /// What a classified volume is made from, besides the volume.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,8 +84,10 @@ pub struct ClassifiedCache {
     classifications: Cache<Arc<str>, Arc<Asked>>,
     labels: Cache<Arc<str>, Arc<LabelTables>>,
     encodings: Cache<Arc<str>, Arc<Encodings>>,
-    /// Bytes of all encodings at most.
+    shadows: Cache<Arc<str>, Arc<Shadow>>,
+    /// Bytes of all encodings at most, and of all shadows.
     room: u64,
+    shadows_room: u64,
     /// Held by the build in flight.
     turn: Arc<Semaphore>,
     /// What the build in flight may take in memory.
@@ -98,6 +103,7 @@ pub struct CacheSize {
     pub encoding_bytes: u64,
     /// Of labels' tables too.
     pub classification_bytes: u64,
+    pub shadow_bytes: u64,
     /// Encodings in the making: 0 or 1, and what they may come to.
     pub building: usize,
     pub building_bytes: u64,
@@ -109,7 +115,8 @@ impl ClassifiedCache {
     pub fn new(bytes: u64, folder: Option<CacheFolder>) -> Self {
         let for_tables = bytes / TABLES_SHARE;
         let for_labels = for_tables / 2;
-        let room = bytes - for_tables;
+        let shadows_room = bytes / SHADOWS_SHARE;
+        let room = bytes - for_tables - shadows_room;
         let classifications = Cache::builder()
             .weigher(|key: &Arc<str>, asked: &Arc<Asked>| kib(key.len() as u64 + asked.classification.bytes()))
             .max_capacity((for_tables - for_labels) / 1024)
@@ -125,8 +132,13 @@ impl ClassifiedCache {
             .max_capacity(room / 1024)
             .eviction_policy(EvictionPolicy::lru())
             .build();
-        let turn = Arc::new(Semaphore::new(1));
-        Self { classifications, labels, encodings, room, turn, building_bytes: Arc::default(), folder }
+        let shadows = Cache::builder()
+            .weigher(|key: &Arc<str>, shadow: &Arc<Shadow>| kib((key.len() + shadow.lacking().len()) as u64))
+            .max_capacity(shadows_room / 1024)
+            .eviction_policy(EvictionPolicy::lru())
+            .build();
+        let (turn, building_bytes) = (Arc::new(Semaphore::new(1)), Arc::default());
+        Self { classifications, labels, encodings, shadows, room, shadows_room, turn, building_bytes, folder }
     }
 
     /// What is in memory, and in the making.
@@ -134,10 +146,12 @@ impl ClassifiedCache {
         self.encodings.run_pending_tasks().await;
         self.classifications.run_pending_tasks().await;
         self.labels.run_pending_tasks().await;
+        self.shadows.run_pending_tasks().await;
         CacheSize {
             encodings: self.encodings.entry_count(),
             encoding_bytes: self.encodings.weighted_size() * 1024,
             classification_bytes: (self.classifications.weighted_size() + self.labels.weighted_size()) * 1024,
+            shadow_bytes: self.shadows.weighted_size() * 1024,
             building: 1 - self.turn.available_permits().min(1),
             building_bytes: self.building_bytes.load(Ordering::Relaxed),
         }
@@ -241,6 +255,47 @@ impl ClassifiedCache {
         let job = move |_: &Cancel| Arc::new(told.tables(volume.volume(), labels.volume()));
         let made = self.labels.try_get_with(key, async move { ticket.run(job).await.map(|(tables, _)| tables) }).await;
         made.map_err(|shared| PoolError::clone(&shared))
+    }
+
+    /// Bytes that the shadows on a volume may take.
+    pub fn shadows_room(&self) -> u64 {
+        self.shadows_room
+    }
+
+    /// The shadows that what a look shows of a volume casts on itself, from memory or made by a job of `ticket`. `labels` are
+    /// those by which it looks otherwise.
+    ///
+    /// # Errors
+    /// Where making them panicked.
+    pub async fn shadows(
+        &self,
+        ticket: &Ticket,
+        volume: &Arc<LoadedVolume>,
+        look: &Look,
+        labels: Option<(&Arc<LoadedVolume>, &ResolvedLabels, &Arc<LabelTables>)>,
+        told: &ResolvedShadows,
+    ) -> Result<Arc<Shadow>, PoolError> {
+        // The same for all algorithms.
+        let purpose = Purpose::Voxels { min_opacity: 0.0 };
+        let made_from = ClassifiedKey { level: look.level, transfer: look.transfer.clone(), purpose };
+        let by_label = labels.map(|(labels, told, _)| (labels.fingerprint, told));
+        let key = format!("{} {by_label:?} {told:?}", made_from.name(volume)).into();
+        let (volume, told) = (Arc::clone(volume), told.clone());
+        let labels = labels.map(|(labels, _, tables)| (Arc::clone(labels), Arc::clone(tables)));
+        let job = move |_: &Cancel| {
+            let labels = labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.volume().scalars(), tables });
+            told.cast(&Scene {
+                prepared: volume.level(made_from.level),
+                transfer: &made_from.transfer,
+                classification: None,
+                encodings: None,
+                labels,
+                shadow: None,
+            })
+        };
+        let made =
+            self.shadows.try_get_with(key, async move { ticket.run(job).await.map(|(shadow, _)| Arc::new(shadow)) });
+        made.await.map_err(|shared| PoolError::clone(&shared))
     }
 
     /// The turn to build encodings of so many bytes; `None` where another build has it, or where they
@@ -416,9 +471,9 @@ mod tests {
             cache.size().await
         };
         let one = warm(&cache(1 << 30), 0.5).await.encoding_bytes;
-        // Three quarters of the bytes are for encodings: room for twelve, and for what one may take at most.
+        // Five eighths of the bytes are for encodings: room for twelve, and for what one may take at most.
         let room = 12 * one + one / 2;
-        let cache = cache(room * 4 / 3);
+        let cache = cache(room * 8 / 5);
         for step in 0..=15 {
             assert!(warm(&cache, 0.55 - f64::from(15 - step) / 300.0).await.encoding_bytes <= room);
         }

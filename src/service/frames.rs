@@ -23,6 +23,7 @@ use crate::classify::labels::Labels;
 use crate::encode::{Format, encode};
 use crate::mesh::Mesh;
 use crate::render::raster::Solid;
+use crate::render::shadow::Shadow;
 use crate::render::{self, Background, Image, Scene, Stage, Timings};
 
 const IMAGE_WARP: HeaderName = HeaderName::from_static("x-image-warp");
@@ -168,6 +169,16 @@ impl Asked {
             Ok::<_, Problem>(labels)
         });
         let labels = labels.transpose()?;
+        if frame.shadows.is_some() {
+            let (bytes, room) =
+                (Shadow::bytes_of(volume.level(frame.level()).volume().dims()), app.store.classified.shadows_room());
+            if bytes > room {
+                let detail = format!(
+                    "shadows on this volume take {bytes} bytes, over {room} (an eighth of cache.classified_bytes)"
+                );
+                return Err(Problem::refused("/shading/lights", detail));
+            }
+        }
         let solid = |(index, told): (usize, &GeometryRequest)| match app.meshes.get(&told.mesh) {
             Some(uploaded) => Ok(told.solid(&uploaded.mesh)),
             None => {
@@ -265,6 +276,14 @@ impl Asked {
                 Some((Arc::clone(labels), tables))
             }
         };
+        let shadow = match &self.frame.shadows {
+            None => None,
+            Some(told) => {
+                let labels = labels.as_ref().zip(self.frame.labels.as_ref());
+                let labels = labels.map(|((volume, tables), told)| (volume, told, tables));
+                Some(app.store.classified.shadows(ticket, &self.volume, &self.frame.look, labels, told).await?)
+            }
+        };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
         let (picture, solids) = (self.picture.clone(), Arc::clone(&self.solids));
@@ -274,12 +293,15 @@ impl Asked {
             let scenes: Vec<_> = frame
                 .looks()
                 .zip(&classified)
-                .map(|(look, classified)| Scene {
+                .enumerate()
+                .map(|(nth, (look, classified))| Scene {
                     prepared,
                     transfer: &look.transfer,
                     classification: classified.as_ref().map(|c| &*c.classification),
                     encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
                     labels,
+                    // Not in regions that look otherwise.
+                    shadow: shadow.as_deref().filter(|_| nth == 0),
                 })
                 .collect();
             let (image, stages) = frame.render(&frame.view, &scenes, &solids, cancel)?;

@@ -54,6 +54,7 @@ fn describe() {
     describe_gauge!("shearwarp_encodings_building", "Run-length encodings in the making");
     describe_gauge!("shearwarp_encodings_building_bytes", "Bytes that the run-length encodings in the making may take");
     describe_gauge!("shearwarp_classifications_bytes", "Bytes of classification tables in memory");
+    describe_gauge!("shearwarp_shadows_bytes", "Bytes of shadows in memory");
     describe_counter!("shearwarp_encodings_hits_total", "Frames whose run-length encodings were in memory");
     describe_counter!("shearwarp_encodings_misses_total", "Frames that went through octree and table instead");
     describe_counter!("shearwarp_encodings_built_total", "Run-length encodings built");
@@ -151,6 +152,7 @@ pub fn render(gauges: Gauges) -> String {
     gauge!("shearwarp_encodings_building").set(gauges.cache.building as f64);
     gauge!("shearwarp_encodings_building_bytes").set(gauges.cache.building_bytes as f64);
     gauge!("shearwarp_classifications_bytes").set(gauges.cache.classification_bytes as f64);
+    gauge!("shearwarp_shadows_bytes").set(gauges.cache.shadow_bytes as f64);
     let (meshes, mesh_bytes) = gauges.meshes;
     gauge!("shearwarp_meshes").set(meshes as f64);
     gauge!("shearwarp_meshes_bytes").set(mesh_bytes as f64);

@@ -29,7 +29,7 @@ use crate::render::{
 };
 use fields::WindowFields;
 pub use options::{Kind, OPTIONS, RequestOption};
-pub use resolve::{ImageLimits, Look, ResolvedLabels, ResolvedRequest};
+pub use resolve::{ImageLimits, Look, ResolvedLabels, ResolvedRequest, ResolvedShadows};
 
 /// Why there is no request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

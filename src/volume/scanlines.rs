@@ -26,8 +26,8 @@ const ROWS: usize = 8;
 /// Machine words of codes that are turned at once, side by side.
 const LANES: usize = 4;
 
-/// Swaps rows and columns of every plane.
-fn turn<T: Code>(codes: &[T], nx: usize, ny: usize) -> Vec<T> {
+/// Swaps rows and columns of every plane of `nx` columns and `ny` rows.
+pub fn turn<T: Code>(codes: &[T], nx: usize, ny: usize) -> Vec<T> {
     let mut turned = vec![T::default(); codes.len()];
     turned.par_chunks_mut(nx * ny).zip(codes.par_chunks(nx * ny)).for_each(|(turned, plane)| {
         simd::dispatch(Turn { plane, turned, nx, ny });
@@ -162,6 +162,11 @@ impl<'a, T> Scanlines<'a, T> {
     #[inline(always)]
     pub fn row(&self, j: usize, k: usize) -> &'a [T] {
         &self.codes[j * self.strides[0] + k * self.strides[1]..][..self.dims[0]]
+    }
+
+    /// How many scanlines are stored before scanline `j` of slice `k`.
+    pub fn place(&self, j: usize, k: usize) -> usize {
+        (j * self.strides[0] + k * self.strides[1]) / self.dims[0]
     }
 }
 

@@ -11,6 +11,7 @@ mod meshes;
 mod overload;
 mod scene;
 mod service;
+mod shadows;
 mod shutdown;
 mod stream;
 mod turntable;

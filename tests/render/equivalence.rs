@@ -37,7 +37,7 @@ fn with_gradient_opacity() -> TransferFunction {
 }
 
 fn lit() -> Settings {
-    let side = Light::Directional { direction: (1.0, -2.0, 0.5).into(), intensity: 0.7 };
+    let side = Light::Directional { direction: (1.0, -2.0, 0.5).into(), intensity: 0.7, shadows: false };
     Settings {
         shading: Some(Shading { lights: vec![Light::Headlight, side], ..Shading::default() }),
         early_ray_termination: 0.98,

@@ -101,7 +101,7 @@ fn picture(volume: Volume, rotation: DMat3, look: Look, settings: &Settings) -> 
         view_height: Some(60.0),
         fov_y: 30.0,
     });
-    let light = Light::Directional { direction: rotation * DVec3::new(0.4, -1.0, 0.7), intensity: 0.6 };
+    let light = Light::Directional { direction: rotation * DVec3::new(0.4, -1.0, 0.7), intensity: 0.6, shadows: false };
     let shading = Some(Shading { lights: vec![Light::Headlight, light], ..Shading::default() });
     let view = scene.view(&camera, 70, 60);
     let settings = Settings { shading, ..settings.clone() };

@@ -40,6 +40,7 @@ impl Labelled {
             classification: Some(&self.classified.0),
             encodings: encoded.then_some(&self.classified.1),
             labels: Some(Labels { voxels: self.labels.scalars(), tables: &self.tables }),
+            shadow: None,
         };
         render(&scene, view, settings, &Cancel::default()).unwrap().0
     }

@@ -16,6 +16,7 @@ mod projections;
 mod ramp;
 mod regions;
 mod scenes;
+mod shadows;
 mod shear_image;
 mod slabs;
 mod unwarped;

@@ -289,8 +289,8 @@ fn light_and_depth_on_a_ramp_have_their_closed_form() {
         shininess: 6.5,
         lights: vec![
             Light::Headlight,
-            Light::Directional { direction: key, intensity: 0.8 },
-            Light::Directional { direction: fill, intensity: 0.5 },
+            Light::Directional { direction: key, intensity: 0.8, shadows: false },
+            Light::Directional { direction: fill, intensity: 0.5, shadows: false },
         ],
     };
     let (front, density) = (0.9, 1.7);

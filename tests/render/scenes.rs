@@ -45,6 +45,7 @@ impl Prepared {
             classification: Some(&self.classified[1].0),
             encodings: None,
             labels: None,
+            shadow: None,
         };
         raycast(&scene, view, settings, &Cancel::default()).unwrap()
     }
@@ -63,6 +64,7 @@ impl Prepared {
             classification: Some(classification),
             encodings,
             labels: None,
+            shadow: None,
         };
         render(&scene, view, settings, &Cancel::default()).unwrap().0
     }
@@ -79,6 +81,7 @@ impl Prepared {
             classification: Some(classification),
             encodings: (encoded && algorithm != Algorithm::FastClassification).then_some(encodings),
             labels: None,
+            shadow: None,
         }
     }
 }

@@ -41,7 +41,7 @@ fn to_the_end() -> Settings {
 }
 
 fn two_lights() -> Shading {
-    let side = Light::Directional { direction: (1.0, -2.0, 0.5).into(), intensity: 0.7 };
+    let side = Light::Directional { direction: (1.0, -2.0, 0.5).into(), intensity: 0.7, shadows: false };
     Shading { lights: vec![Light::Headlight, side], ..Shading::default() }
 }
 

@@ -53,7 +53,7 @@ fn running_sums(settings: Settings) -> Settings {
 
 /// Every kind of frame there is of slabs.
 fn all_settings() -> Vec<Settings> {
-    let side = Light::Directional { direction: (1.0, -2.0, 0.5).into(), intensity: 0.7 };
+    let side = Light::Directional { direction: (1.0, -2.0, 0.5).into(), intensity: 0.7, shadows: false };
     let two_lights = Shading { lights: vec![Light::Headlight, side], ..Shading::default() };
     let options = |lookup, opacity_correction, samples_per_voxel| Preintegration {
         lookup,

@@ -46,7 +46,14 @@ fn rays(
     let failed = |error: &dyn std::error::Error| Failure::Other(error.to_string());
     let (centre, radius) = (volume.volume().centre(), volume.volume().radius());
     let view = View::new(&Camera::Orbit(camera), centre, radius, side, side).map_err(|error| failed(&error))?;
-    let scene = Scene { prepared: volume, transfer: &transfer, classification: None, encodings: None, labels: None };
+    let scene = Scene {
+        prepared: volume,
+        transfer: &transfer,
+        classification: None,
+        encodings: None,
+        labels: None,
+        shadow: None,
+    };
     raycast(&scene, &view, settings, &Cancel::default()).map_err(|error| failed(&error))
 }
 

@@ -41,7 +41,7 @@ use super::intermediate::{Band, BandBuffer, IntermediateImage, Strip};
 use super::simd::{self, Kernel};
 
 /// Pixels of a mask word.
-const WORD: usize = 64;
+pub(super) const WORD: usize = 64;
 
 /// Scanlines of a band: enough to share voxel scanlines between pixel rows, few enough that a
 /// band's pixels stay in the second-level cache and bands spread evenly over threads.

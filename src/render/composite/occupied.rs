@@ -6,7 +6,7 @@
 
 use crate::classify::cells::{AxisCells, WORD, words};
 use crate::classify::{Classification, Encodings};
-use crate::render::factorization::{Factorization, PERMUTATIONS};
+use crate::render::factorization::Factorization;
 use crate::volume::octree::{LEAF, leaf_of, leaves_along};
 
 /// A bit for every cell of a scanline: clear only where nothing shows.
@@ -54,14 +54,7 @@ impl LeafRows {
     /// From a flag for each leaf of the octree, x fastest.
     pub fn new(occupied: &[bool], factorization: &Factorization) -> Self {
         let [ni, nj, nk] = factorization.dims;
-        let permutation = PERMUTATIONS[factorization.principal_axis];
-        let mut strides = [0; 3];
-        let mut stride = 1;
-        for axis in 0..3 {
-            let place = permutation.iter().position(|&a| a == axis).expect("a permutation of the axes");
-            strides[place] = stride;
-            stride *= leaves_along(factorization.dims[place]);
-        }
+        let strides = factorization.strides(factorization.dims.map(leaves_along));
         let (rows, words) = (leaves_along(nj), words(ni));
         let mut bits = vec![0; rows * leaves_along(nk) * words];
         for (row, bits) in bits.chunks_exact_mut(words).enumerate() {

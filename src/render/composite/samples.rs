@@ -23,10 +23,11 @@ use glam::Vec4;
 use super::WORD;
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
-use super::sources::StoredNormals;
+use super::sources::{Stored, StoredNormals};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, SlicePlacement};
+use crate::render::material::shadowed;
 use crate::render::ray_light::RayLight;
 use crate::render::simd::{self, Kernel, prefetch};
 use crate::volume::Volume;
@@ -62,6 +63,8 @@ pub struct VoxelRows<'a, T> {
     /// Slices are walked from the last to the first.
     reversed: bool,
     light: VoxelLight<'a>,
+    /// The light where the one that casts shadows is gone, and how much of that each voxel lacks, in 255ths.
+    shadow: Option<(VoxelLight<'a>, Stored<'a, u8>)>,
     gradient_opacity: Option<&'a TransferFunction>,
 }
 
@@ -80,8 +83,15 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             dims: factorization.dims,
             reversed: factorization.reversed,
             light,
+            shadow: None,
             gradient_opacity: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
         }
+    }
+
+    /// With shadows on the voxels: `light` is where the one that casts them is gone, `lacking` how much of that each voxel
+    /// lacks, in 255ths.
+    pub fn shadowed(self, light: VoxelLight<'a>, lacking: Stored<'a, u8>) -> Self {
+        Self { shadow: Some((light, lacking)), ..self }
     }
 
     /// Asks for the voxels that the walk will need next: those a slice on, or, where that was needed for
@@ -104,17 +114,13 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     #[inline(always)]
     fn quad(&self, [first, j, k]: [usize; 3]) -> [Vec4; QUAD] {
         let codes = four(self.scanlines.row(j, k), first);
-        let (mut factor, mut addend, mut density) = ([1.0; QUAD], [0.0; QUAD], [1.0; QUAD]);
-        match self.light {
-            VoxelLight::Off => {}
-            VoxelLight::ByNormal { shades, normals } => {
-                let codes = normals.four([first, j, k]);
-                for n in 0..QUAD {
-                    [factor[n], addend[n]] = shades[usize::from(codes[n])];
-                }
-            }
-            VoxelLight::ByRay(light) => {
-                [factor, addend] = light.of_gradients(&self.gradients.block(j, k, first), [first, j, k]);
+        let ([mut factor, mut addend], mut density) = (self.light(&self.light, [first, j, k]), [1.0; QUAD]);
+        if let Some((light, lacking)) = &self.shadow {
+            let without = self.light(light, [first, j, k]);
+            let lacking = lacking.four([first, j, k]);
+            for n in 0..QUAD {
+                factor[n] += (without[0][n] - factor[n]) * shadowed(lacking[n]);
+                addend[n] += (without[1][n] - addend[n]) * shadowed(lacking[n]);
             }
         }
         if self.has_gradient_opacity() {
@@ -127,6 +133,22 @@ impl<'a, T: Code> VoxelRows<'a, T> {
             samples[n] = Vec4::new(codes[n], factor[n], addend[n], density[n]);
         }
         samples
+    }
+
+    /// Factors on and addends to the colours of four voxels from (i, j, k) on.
+    #[inline(always)]
+    fn light(&self, light: &VoxelLight<'_>, at @ [i, j, k]: [usize; 3]) -> [[f32; QUAD]; 2] {
+        match light {
+            VoxelLight::Off => [[1.0; QUAD], [0.0; QUAD]],
+            VoxelLight::ByNormal { shades, normals } => {
+                let mut light = [[0.0; QUAD]; 2];
+                for (n, code) in normals.four(at).into_iter().enumerate() {
+                    [light[0][n], light[1][n]] = shades[usize::from(code)];
+                }
+                light
+            }
+            VoxelLight::ByRay(light) => light.of_gradients(&self.gradients.block(j, k, i), at),
+        }
     }
 
     /// The code of the normal of voxel (i, j, k), from its neighbours: the one that is stored.

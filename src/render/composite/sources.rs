@@ -16,7 +16,7 @@ use super::touched::{Open, Touched};
 use super::{WORD, run_mask};
 use crate::classify::CodeTables;
 use crate::classify::rle::{AxisEncoding, Scanline, Voxel};
-use crate::render::factorization::{Factorization, PERMUTATIONS};
+use crate::render::factorization::Factorization;
 use crate::render::material::{Light, SliceMaterial};
 use crate::render::simd::prefetch;
 use crate::volume::gradient::Code;
@@ -227,14 +227,7 @@ pub type StoredNormals<'a> = Stored<'a, u16>;
 impl<'a, T: Copy + Default> Stored<'a, T> {
     /// `codes` are in the volume's order, x fastest.
     pub fn new(codes: &'a [T], factorization: &Factorization) -> Self {
-        let permutation = PERMUTATIONS[factorization.principal_axis];
-        let (mut strides, mut stride) = ([0; 3], 1);
-        for axis in 0..3 {
-            let place = permutation.iter().position(|&a| a == axis).expect("a permutation of the axes");
-            strides[place] = stride;
-            stride *= factorization.dims[place];
-        }
-        Self { codes, strides, last: factorization.dims[0] - 1 }
+        Self { codes, strides: factorization.strides(factorization.dims), last: factorization.dims[0] - 1 }
     }
 
     /// That of voxel (i, j, k), past the scanline's end that of its last voxel.

@@ -52,7 +52,8 @@ pub(super) fn frame<T: Code>(
     let scaled = gradient_opacity.is_some() || !same_length;
     let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
     let gradient_frame = GradientFrame::new(volume.placement(), volume.rescale().0);
-    let lighting = settings.shading.as_ref().map(Lighting::new);
+    let lighting = |transmittance| settings.shading.as_ref().map(|shading| Lighting::new(shading, transmittance));
+    let (lighting, in_shadow) = (lighting(1.0), scene.shadow.and_then(|_| lighting(0.0)));
     let walk = Walk {
         sampler: Sampler::new(codes, dims),
         scanlines,
@@ -62,6 +63,7 @@ pub(super) fn frame<T: Code>(
         gradient: (gradient_frame.world_from_frame * gradient_frame.frame_from_differences).as_mat3(),
         gradient_opacity,
         lighting: lighting.as_ref(),
+        shadow: in_shadow.as_ref().zip(scene.shadow.map(|shadow| Sampler::new(shadow.lacking(), dims))),
         depth_cueing: settings.depth_cueing,
         opaque: settings.early_ray_termination,
     };
@@ -102,6 +104,8 @@ struct Walk<'a, T> {
     gradient: Mat3,
     gradient_opacity: Option<&'a TransferFunction>,
     lighting: Option<&'a Lighting>,
+    /// The light where the one that casts shadows is gone, and how much of that each voxel lacks, in 255ths.
+    shadow: Option<(&'a Lighting, Sampler<'a, u8>)>,
     depth_cueing: Option<DepthCueing>,
     /// Accumulated opacity at which a pixel is done.
     opaque: f32,
@@ -431,7 +435,10 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         }
         if LIT && let Some(lighting) = self.walk.lighting {
             if asked {
-                let light = lighting.shade(&gradients, &packet.to_eye);
+                let mut light = lighting.shade(&gradients, &packet.to_eye);
+                if let Some((in_shadow, lacking)) = &self.walk.shadow {
+                    darken(&mut light, &in_shadow.shade(&gradients, &packet.to_eye), lacking, packet, middles);
+                }
                 for lane in 0..LANES {
                     state.light[0][lane] = if unlit[lane] > 0.0 { light[0][lane] } else { state.light[0][lane] };
                     state.light[1][lane] = if unlit[lane] > 0.0 { light[1][lane] } else { state.light[1][lane] };
@@ -529,6 +536,23 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             }
         }
         ratios
+    }
+}
+
+/// Takes from `light` what of it the middles of slabs lack.
+#[inline(never)]
+fn darken(
+    light: &mut [Lanes; 2],
+    in_shadow: &[Lanes; 2],
+    lacking: &Sampler<'_, u8>,
+    packet: &Packet,
+    middles: Middles<'_>,
+) {
+    for lane in 0..LANES {
+        let lacking = lacking.scalar(lacking.position(packet, lane, middles.of(lane))) / 255.0;
+        for (light, in_shadow) in light.iter_mut().zip(in_shadow) {
+            light[lane] += (in_shadow[lane] - light[lane]) * lacking;
+        }
     }
 }
 

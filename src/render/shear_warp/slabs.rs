@@ -2,14 +2,14 @@
 
 use std::time::Instant;
 
-use super::{Begun, Pass};
+use super::{Begun, LightTable, Pass};
 use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::composite::lattice::{self, Unit};
 use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::Occupied;
 use crate::render::composite::samples::{Quads, VoxelLight, VoxelRows};
 use crate::render::composite::slabs::SlabComposite;
-use crate::render::composite::sources::StoredNormals;
+use crate::render::composite::sources::{Stored, StoredNormals};
 use crate::render::intermediate::IntermediateImage;
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
 use crate::render::{Lookup, OpacityCorrection, RenderError, SlabTable};
@@ -107,14 +107,28 @@ impl Pass<'_> {
     }
 
     fn voxel_rows<'a, T: Code>(&'a self, scanlines: Scanlines<'a, T>) -> VoxelRows<'a, T> {
-        let light = match (self.table, self.ray_light) {
-            (Some(table), _) => VoxelLight::ByNormal {
+        let Self { scene, factorization, tables, .. } = *self;
+        let rows = VoxelRows::new(
+            scanlines,
+            scene.prepared.volume(),
+            factorization,
+            self.light(&tables.light),
+            scene.transfer,
+        );
+        match tables.in_shadow.as_ref().zip(scene.shadow) {
+            None => rows,
+            Some((light, shadow)) => rows.shadowed(self.light(light), Stored::new(shadow.lacking(), factorization)),
+        }
+    }
+
+    fn light<'a>(&'a self, table: &'a LightTable) -> VoxelLight<'a> {
+        match table {
+            LightTable::Off => VoxelLight::Off,
+            LightTable::ByNormal(table) => VoxelLight::ByNormal {
                 shades: table.entries(),
                 normals: StoredNormals::new(self.scene.prepared.normals(), self.factorization),
             },
-            (None, Some(light)) => VoxelLight::ByRay(light),
-            (None, None) => VoxelLight::Off,
-        };
-        VoxelRows::new(scanlines, self.scene.prepared.volume(), self.factorization, light, self.scene.transfer)
+            LightTable::ByRay(light) => VoxelLight::ByRay(light),
+        }
     }
 }

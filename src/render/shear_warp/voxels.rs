@@ -1,6 +1,6 @@
 //! The pass of single voxels: where they come from, and the kernel's other type parameters.
 
-use super::{Begun, Pass};
+use super::{Begun, LightTable, Pass};
 use crate::classify::Encodings;
 use crate::classify::labels::Labels;
 use crate::render::composite::lattice::{Lattice, Scaled, Unit};
@@ -10,7 +10,9 @@ use crate::render::composite::samples::{VoxelLight, VoxelRows};
 use crate::render::composite::sources::{Stored, StoredNormals, Unencoded, VoxelSource};
 use crate::render::composite::voxels::{VoxelLattice, Voxels};
 use crate::render::intermediate::IntermediateImage;
-use crate::render::material::{AnyLight, ByNormal, ByRay, Light, Material, Paint, Painted, SliceTables, Unlit};
+use crate::render::material::{
+    AnyLight, ByNormal, ByRay, Light, Material, Paint, Painted, Shadowless, SliceTables, Unlit,
+};
 use crate::render::{RenderError, Sampling};
 use crate::volume::Scalars;
 use crate::volume::gradient::Code;
@@ -47,24 +49,42 @@ impl Pass<'_> {
 
     fn with_source<V: VoxelSource>(&self, source: V, image: &mut IntermediateImage) -> Result<Begun, RenderError> {
         if let Some(paint) = self.paint() {
-            let light = match (self.table, self.ray_light) {
-                (Some(table), _) => AnyLight::ByNormal(ByNormal::new(table)),
-                (None, Some(light)) => AnyLight::ByRay(ByRay(light)),
-                (None, None) => AnyLight::Unlit,
-            };
-            let painted = Painted { light, paint, sampling: self.settings.sampling };
-            return if self.factorization.is_parallel() {
-                self.with_light(Unit, source, painted, image)
-            } else {
-                self.with_light(Scaled, source, painted, image)
-            };
+            let painted = Painted { light: self.any_light(), paint, sampling: self.settings.sampling };
+            return self.with_lattice(source, painted, image);
         }
-        match (self.table, self.ray_light, self.factorization.is_parallel()) {
-            (Some(table), ..) => self.with_light(Unit, source, ByNormal::new(table), image),
-            (None, Some(light), _) => self.with_light(Scaled, source, ByRay(light), image),
-            (None, None, true) => self.with_light(Unit, source, Unlit, image),
-            (None, None, false) => self.with_light(Scaled, source, Unlit, image),
+        match &self.tables.light {
+            _ if self.tables.in_shadow.is_some() => self.with_lattice(source, self.any_light(), image),
+            LightTable::Off => self.with_lattice(source, Unlit, image),
+            LightTable::ByNormal(table) => self.with_light(Unit, source, ByNormal::new(table), image),
+            LightTable::ByRay(light) => self.with_light(Scaled, source, ByRay(light), image),
         }
+    }
+
+    fn with_lattice<V: VoxelSource, H: Light>(
+        &self,
+        source: V,
+        light: H,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        if self.factorization.is_parallel() {
+            self.with_light(Unit, source, light, image)
+        } else {
+            self.with_light(Scaled, source, light, image)
+        }
+    }
+
+    /// The light, whatever it is.
+    fn any_light(&self) -> AnyLight<'_> {
+        let shadowless = |table| match table {
+            &LightTable::Off => Shadowless::Unlit,
+            LightTable::ByNormal(table) => Shadowless::ByNormal(ByNormal::new(table)),
+            LightTable::ByRay(light) => Shadowless::ByRay(ByRay(light)),
+        };
+        let shadow = self.tables.in_shadow.as_ref().zip(self.scene.shadow).map(|(light, shadow)| {
+            let lacking = Stored::new(shadow.lacking(), self.factorization);
+            (shadowless(light), lacking)
+        });
+        AnyLight { light: shadowless(&self.tables.light), shadow }
     }
 
     /// What voxels look like by themselves, where they do.

@@ -327,7 +327,9 @@ impl Refusals {
                 self.refuse(format!("{place}/shading/lights"), detail);
             }
             let light = |(index, light)| self.light(&format!("{place}/shading/lights/{index}"), light);
-            lights.iter().enumerate().map(light).collect()
+            let lights: Vec<_> = lights.iter().enumerate().map(light).collect();
+            self.shadows(place, &lights);
+            lights
         });
         ShadingChoice::On(Shading {
             ambient: fields.ambient.unwrap_or(default.ambient),
@@ -336,6 +338,19 @@ impl Refusals {
             shininess: fields.shininess.unwrap_or(default.shininess),
             lights,
         })
+    }
+
+    /// One light casts shadows at most, and it is one of the frame's own.
+    fn shadows(&mut self, place: &str, lights: &[Light]) {
+        let (allowed, detail) = match place {
+            "" => (1, "one light casts shadows at most, and another does"),
+            _ => (0, "regions that look otherwise are not in shadow"),
+        };
+        let casts = |light: &Light| matches!(light, Light::Directional { shadows: true, .. });
+        let casting = lights.iter().enumerate().filter(|(_, light)| casts(light));
+        for (index, _) in casting.skip(allowed) {
+            self.refuse(format!("{place}/shading/lights/{index}/shadows"), detail);
+        }
     }
 
     fn light(&mut self, pointer: &str, light: &Either<LightName, LightFields>) -> Light {
@@ -348,7 +363,11 @@ impl Refusals {
         if direction.is_none() {
             self.refuse(format!("{pointer}/direction"), "expected a direction of length above 0");
         }
-        Light::Directional { direction: direction.unwrap_or(DVec3::Z), intensity: light.intensity.unwrap_or(1.0) }
+        Light::Directional {
+            direction: direction.unwrap_or(DVec3::Z),
+            intensity: light.intensity.unwrap_or(1.0),
+            shadows: light.shadows.unwrap_or(false),
+        }
     }
 
     fn window(

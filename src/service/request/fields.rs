@@ -112,6 +112,7 @@ pub enum LightName {
 pub struct LightFields {
     pub direction: [f64; 3],
     pub intensity: Option<f64>,
+    pub shadows: Option<bool>,
 }
 
 #[derive(Clone, Copy, serde::Deserialize)]

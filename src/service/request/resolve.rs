@@ -5,6 +5,8 @@ mod labels;
 use std::sync::Arc;
 use std::time::Instant;
 
+use glam::DVec3;
+
 use super::fields::WindowFields;
 use super::{
     AlgorithmChoice, GeometryRequest, InvalidField, RegionRequest, RenderRequest, RequestError, ShadingChoice, Transfer,
@@ -14,6 +16,7 @@ use crate::classify::{Purpose, TransferFunction};
 use crate::encode::Format;
 use crate::render::raster::{self, Solid};
 use crate::render::regions::{Region, render_with_regions};
+use crate::render::shadow::Shadow;
 use crate::render::{
     self, Algorithm, Background, Blend, BufferSlice, Cancel, Clip, Image, Preintegration, Quality, RenderError, Scene,
     Settings, Shading, Stage, Timings, View, Window,
@@ -43,6 +46,8 @@ pub struct ResolvedRequest {
     pub labels: Option<ResolvedLabels>,
     /// Where it looks otherwise, in order: of two that hold a point the later one is meant.
     pub regions: Vec<RegionLook>,
+    /// Where a light casts them.
+    pub shadows: Option<ResolvedShadows>,
     /// Meshes beside the volume.
     pub geometry: Vec<GeometryRequest>,
     /// `None`: the request leaves it open.
@@ -59,6 +64,23 @@ pub struct Look {
     pub min_opacity: f64,
     /// Of the volume's pyramid; the same for all of a frame's looks.
     pub level: usize,
+}
+
+/// Shadows: all that they depend on besides the scene that casts them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResolvedShadows {
+    /// Towards the light, world.
+    towards: DVec3,
+    /// What is cut away casts none.
+    clip: Clip,
+    holes: Vec<Clip>,
+}
+
+impl ResolvedShadows {
+    /// The shadows that `scene` casts on itself, made on the current rayon pool.
+    pub fn cast(&self, scene: &Scene<'_>) -> Shadow {
+        Shadow::cast(scene, self.towards, &self.clip, &self.holes)
+    }
 }
 
 /// How the volume looks within a convex part of the world.
@@ -124,7 +146,14 @@ impl RenderRequest {
         // What is cut out stays so, whatever is to be shown there.
         let cut_out = self.cut_out.iter().map(|shape| Ok(RegionLook { shape: shape.clone(), look: None }));
         let regions = shown.chain(cut_out).collect::<Result<_, RequestError>>()?;
-        Ok(ResolvedRequest { view, look, labels, regions, geometry: self.geometry.clone(), format: self.format })
+        let light = look.settings.shading.as_ref().filter(|_| look.settings.blend == Blend::Composite);
+        let shadows = light.and_then(Shading::shadow_light).map(|towards| ResolvedShadows {
+            towards,
+            clip: self.clip.clone(),
+            holes: self.cut_out.clone(),
+        });
+        let geometry = self.geometry.clone();
+        Ok(ResolvedRequest { view, look, labels, regions, shadows, geometry, format: self.format })
     }
 
     /// How the volume looks, in a region if there is one.
