@@ -19,6 +19,7 @@
 //! has the argument. What follows sees one kind of thing: pixel (u, v) meets slice `k` in voxel
 //! coordinates `offset + scale (u, v)`, the slice's [`Lattice`]. Under parallel projection the scale is 1.
 
+mod convex;
 mod perspective;
 #[cfg(test)]
 mod tests;
@@ -29,8 +30,10 @@ use glam::{DAffine2, DAffine3, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
 use super::depth::{Limits, Stretch};
-use super::view::{Ball, Clip, HalfSpace, Rays, View, cut};
+use super::regions::MAX_REGIONS;
+use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
+use convex::{Convex, Meeting};
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
 pub const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
@@ -76,10 +79,10 @@ pub struct Factorization {
     /// The least and the greatest position, in pixels, at which a final pixel sees a slice. The image
     /// has at least one pixel more along either axis.
     pub extent: [DVec2; 2],
-    /// What the view clips to, in voxel coordinates.
-    clip: Clip,
-    /// Half-spaces that hold all of that.
-    clip_bounds: Vec<HalfSpace>,
+    /// What the view clips to.
+    clip: Convex,
+    /// What is cut out of that.
+    holes: Vec<Convex>,
     /// What is seen of the rays of pixels.
     limits: Option<Limits>,
 }
@@ -93,6 +96,33 @@ enum Shear {
     /// and `distance` of them away from the eye.
     /// Rays have these directions in voxels of the volume's own axes, by final pixel coordinates (x, y, 1).
     Perspective { eye: DVec3, distance: f64, origin: DVec2, directions: DMat3 },
+}
+
+/// What may clip pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Clipping {
+    /// Clip planes and balls.
+    pub by_planes: bool,
+    pub holes: Holes,
+    /// The ends of rays.
+    pub by_limits: bool,
+}
+
+/// Some of a factorization's holes, a bit for each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Holes(u32);
+
+impl Holes {
+    /// All that there may be.
+    pub const ALL: Self = Self(u32::MAX);
+}
+
+impl Clipping {
+    /// True where anything may.
+    #[inline(always)]
+    pub fn is_any(&self) -> bool {
+        self.by_planes || self.by_limits || self.holes != Holes(0)
+    }
 }
 
 /// Where pixels meet a slice: (u, v) at voxel coordinates `offset + scale (u, v)`.
@@ -175,8 +205,8 @@ impl Factorization {
             ray: DMat3::from_cols(DVec3::ZERO, DVec3::ZERO, direction / d.z.abs()),
             sheared_from_image: DAffine2::from_cols(vector(dx), vector(dy), start + translation).into(),
             extent: [DVec2::ZERO, first.max(last) + face],
-            clip: Clip::default(),
-            clip_bounds: vec![],
+            clip: Convex::default(),
+            holes: vec![],
             limits: None,
         }
     }
@@ -283,9 +313,14 @@ impl Factorization {
     fn clipped(mut self, view: &View, world_from_index: &DMat4) -> Self {
         let [i, j, k] = PERMUTATIONS[self.principal_axis].map(|axis| world_from_index.col(axis).truncate());
         let translation = world_from_index.col(3).truncate();
-        self.clip = view.clip().told_by(DAffine3 { matrix3: DMat3::from_cols(i, j, k), translation });
-        let balls = self.clip.balls.iter().flat_map(Ball::bounds);
-        self.clip_bounds = self.clip.halves.iter().copied().chain(balls).collect();
+        self.clip = Convex::new(&view.clip().told_by(DAffine3 { matrix3: DMat3::from_cols(i, j, k), translation }));
+        self
+    }
+
+    /// Without what lies in convex parts of the world, [`MAX_REGIONS`] at most.
+    pub(super) fn cut_out<'a>(mut self, volume: &Volume, parts: impl Iterator<Item = &'a Clip>) -> Self {
+        let world_from_voxel = self.world_from_voxel(volume);
+        self.holes = parts.map(|part| Convex::new(&part.told_by(world_from_voxel))).collect();
         self
     }
 
@@ -293,11 +328,6 @@ impl Factorization {
     pub(super) fn limited(mut self, limits: Option<Limits>) -> Self {
         self.limits = limits;
         self
-    }
-
-    /// True where the view has clip planes, or limits of rays.
-    pub fn is_clipped(&self) -> bool {
-        !self.clip.is_empty() || self.limits.is_some()
     }
 
     /// Voxel coordinates i, j, k of pixel (u, v) of a slice, which may be between two slices of voxels.
@@ -315,43 +345,58 @@ impl Factorization {
         index
     }
 
-    /// The pixels u of scanline `v` that clip planes leave of a slice, which may be between
-    /// two slices of voxels.
-    fn visible_pixels(&self, v: usize, k: f64) -> Range<usize> {
-        let (start, step) = self.scanline(v, k);
-        pixels(self.clip.span(start, step, [0.0, (self.size[0] - 1) as f64]))
-    }
-
-    /// Voxel coordinates of the first pixel of scanline `v` of a slice, and from a pixel to the next.
-    fn scanline(&self, v: usize, k: f64) -> (DVec3, DVec3) {
-        let Lattice { offset, scale } = self.lattice(k);
-        (DVec3::new(offset.x, offset.y + scale * v as f64, k), DVec3::X * scale)
-    }
-
-    /// Pixels u of scanline `v` of which clip planes may leave something between two slices (in the order of the walk), and
-    /// those of which they leave all: what is clipped to is convex.
+    /// Pixels u of scanline `v` of which clipping may leave something between two slices (in the order of the walk), and those of
+    /// which it leaves all, but for holes.
+    #[inline(always)]
     pub fn clipped_pixels(&self, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
         if self.clip.is_empty() {
             return [0..usize::MAX, 0..usize::MAX];
         }
-        let [a, b] = slices.map(|k| self.visible_pixels(v, k));
-        let whole = a.start.max(b.start)..a.end.min(b.end);
-        // What lies between the slices may reach further than on either, or lie between them altogether. A ray that passes a
-        // half-space there passes it on one of the two.
-        let [first, last] = slices.map(|k| self.scanline(v, k));
-        let all = [0.0, (self.size[0] - 1) as f64];
-        let some = self.clip_bounds.iter().fold(all, |some, half| {
-            let on =
-                |(start, step): (DVec3, DVec3)| cut(all, half.normal.dot(start) + half.offset, half.normal.dot(step));
-            let [a, b] = [on(first), on(last)];
-            let either = match (a[0] > a[1], b[0] > b[1]) {
-                (false, false) => [a[0].min(b[0]), a[1].max(b[1])],
-                (true, _) => b,
-                (_, true) => a,
-            };
-            [some[0].max(either[0]), some[1].min(either[1])]
+        self.clip.pixels(v, slices.map(|k| (self.lattice(k), k)), self.size[0])
+    }
+
+    /// Finds for each hole of some the pixels u of scanline `v` of which it may take something between two slices, and those of
+    /// which it takes all.
+    #[inline(always)]
+    pub fn hollow_pixels(&self, v: usize, slices: [f64; 2], which: Holes, mut found: impl FnMut([Range<usize>; 2])) {
+        let slices = slices.map(|k| (self.lattice(k), k));
+        for (n, hole) in self.holes.iter().enumerate() {
+            if which.0 >> n & 1 == 1 {
+                found(hole.pixels(v, slices, self.size[0]));
+            }
+        }
+    }
+
+    /// What may clip pixels of some scanlines between two slices; `None` where nothing of any is left.
+    #[inline(always)]
+    pub fn clipping(&self, vs: Range<usize>, slices: [f64; 2]) -> Option<Clipping> {
+        let mut clipping = Clipping { by_planes: false, holes: Holes(0), by_limits: self.limits.is_some() };
+        if self.clip.is_empty() && self.holes.is_empty() {
+            return Some(clipping);
+        }
+        // Pixels beside a slice see nothing of it.
+        let beside = [-1.0, self.dims[0] as f64];
+        let [a, b] = slices.map(|k| {
+            let Lattice { offset, scale } = self.lattice(k);
+            let [left, right] =
+                [0, self.size[0] - 1].map(|u| (offset.x + scale * u as f64).clamp(beside[0], beside[1]));
+            let [top, bottom] = [vs.start, vs.end - 1].map(|v| offset.y + scale * v as f64);
+            [DVec3::new(left, top, k), DVec3::new(right, bottom, k)]
         });
-        [pixels(some), whole]
+        let block = [a[0].min(b[0]), a[1].max(b[1])];
+        match self.clip.meets(block) {
+            Meeting::Outside => return None,
+            Meeting::Inside => {}
+            Meeting::Across => clipping.by_planes = true,
+        }
+        for (n, hole) in self.holes.iter().enumerate() {
+            match hole.meets(block) {
+                Meeting::Inside => return None,
+                Meeting::Outside => {}
+                Meeting::Across => clipping.holes.0 |= 1 << n,
+            }
+        }
+        Some(clipping)
     }
 
     /// What is seen of the rays of pixels, where that is not all that clip planes leave.
@@ -359,7 +404,7 @@ impl Factorization {
         self.limits.as_ref()
     }
 
-    /// What clip planes and limits leave of the ray of pixel (u, v) between two slices, as fractions of the way from the first to
+    /// What clip planes, holes and limits leave of the ray of pixel (u, v) between two slices, as fractions of the way from the first to
     /// the second: pieces with their ends, one behind another.
     pub fn left(&self, u: usize, v: usize, slices: [f64; 2]) -> impl Iterator<Item = [f32; 2]> {
         let [from, to] = slices.map(|k| self.voxel_from_sheared(u as f64, v as f64, k));
@@ -371,9 +416,17 @@ impl Factorization {
             (enter, leave) = (enter.max(first), leave.min(last));
         }
         // Between holes; the last piece ends with the ray.
-        let holes = self.limits.iter().flat_map(move |limits| limits.holes(u, v)).map(part);
+        let of_limits = self.limits.iter().flat_map(|limits| limits.holes(u, v)).map(part);
+        let convex = self.holes.iter().map(|hole| hole.span(from, to - from, [0.0, 1.0]));
+        let mut holes = [[leave; 2]; MAX_REGIONS + 1];
+        let mut count = 0;
+        for hole in of_limits.chain(convex).filter(|[from, to]| from < to) {
+            holes[count] = hole;
+            count += 1;
+        }
+        holes[..count].sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
         let mut begin = enter;
-        let pieces = holes.chain([[leave, leave]]).map(move |[from, to]| {
+        let pieces = holes.into_iter().take(count + 1).map(move |[from, to]| {
             let piece = [begin, from.min(leave)];
             begin = begin.max(to);
             piece.map(|at| at as f32)
@@ -418,11 +471,6 @@ impl Factorization {
 /// A vector or point in the order i, j, k of a principal axis.
 fn permuted(principal_axis: usize, v: DVec3) -> DVec3 {
     DVec3::from_array(PERMUTATIONS[principal_axis].map(|axis| v[axis]))
-}
-
-/// The pixels of a stretch of a scanline; none where it ends before it begins.
-fn pixels([low, high]: [f64; 2]) -> Range<usize> {
-    if low > high { 0..0 } else { low.ceil() as usize..high.floor() as usize + 1 }
 }
 
 /// The axis most parallel to the rays, in index space, so that no slice shears by more than a voxel.

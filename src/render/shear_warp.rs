@@ -86,9 +86,11 @@ fn part(
     let volume = scene.prepared.volume();
     let behind = settings.background.behind();
     let cue = settings.depth_cueing.as_ref().map(|cueing| Cue::new(cueing, view, volume, factorization));
-    if regions.is_empty() {
+    // What is cut out is a hole to the kernels.
+    if regions.iter().all(|region| region.shown.is_none()) {
         let tables = Tables::new(scene, settings, factorization);
-        let limited = factorization.clone().limited(depth.map(|depth| depth.limits()));
+        let holes = regions.iter().map(|region| &region.shape);
+        let limited = factorization.clone().limited(depth.map(|depth| depth.limits())).cut_out(volume, holes);
         let pass = Pass::new(scene, settings, &limited, &tables, cue.as_ref(), cancel);
         timings.shade += start.elapsed();
         return pass.image(behind, timings);

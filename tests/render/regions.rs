@@ -206,6 +206,16 @@ proptest! {
             prop_assert!(first == made(false, true), "skipping changes {:?}", settings.algorithm);
             prop_assert!(first == made(true, false), "encodings change {:?}", settings.algorithm);
             prop_assert!(first == on_threads(3, || made(true, true)), "threads change {:?}", settings.algorithm);
+            // Holes alone, in what a ball leaves.
+            let view = view.clone().clipped(&Clip { halves: vec![], balls: vec![Ball::new(centre, 11.0)] });
+            let hollow = |skipping: bool, encoded: bool| {
+                let settings = Settings { skipping, ..settings.clone() };
+                let holes = [&half, &thin, &small].map(|hole| (hole.clone(), None));
+                frame(&around, &view, &settings, &holes, encoded)
+            };
+            let first = hollow(true, true);
+            prop_assert!(first == hollow(false, true), "skipping changes holes of {:?}", settings.algorithm);
+            prop_assert!(first == hollow(true, false), "encodings change holes of {:?}", settings.algorithm);
         }
     }
 }

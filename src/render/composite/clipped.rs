@@ -3,25 +3,45 @@
 use std::ops::Range;
 
 use super::{WORD, below};
-use crate::render::factorization::Factorization;
+use crate::render::factorization::{Clipping, Factorization};
 
 /// Pixels of a scanline, 64 a word.
 #[derive(Clone, Debug, Default)]
 pub struct ClippedPixels {
+    clipping: Clipping,
     /// Those that are open and of which something is left.
     open: Vec<u64>,
     /// Those of them of which not all is left.
     cut: Vec<u64>,
+    /// Pixels of which a hole may take something, and those of which it takes all.
+    holes: Vec<[Range<usize>; 2]>,
 }
 
 impl ClippedPixels {
-    /// Clips the pixels of scanline `v` that are set in `open`, between two slices in the order of the walk.
-    /// False where none is left.
+    /// For some scanlines between two slices in the order of the walk; false where nothing of them is left.
+    #[inline(always)]
+    pub fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
+        let clipping = factorization.clipping(vs, slices);
+        self.clipping = clipping.unwrap_or_default();
+        clipping.is_some()
+    }
+
+    /// True where pixels of them must be clipped ([`Self::find`]); else they are as they are.
+    #[inline(always)]
+    pub fn is_any(&self) -> bool {
+        self.clipping.is_any()
+    }
+
+    /// Clips the pixels of scanline `v`, one of those entered, that are set in `open`. False where none is left.
     #[inline(always)]
     pub fn find(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2], open: &[u64]) -> bool {
         self.open.resize(open.len(), 0);
         self.cut.resize(open.len(), 0);
-        let [some, whole] = factorization.clipped_pixels(v, slices);
+        let Clipping { by_planes, holes, by_limits } = self.clipping;
+        let everything = [0..usize::MAX, 0..usize::MAX];
+        let [some, whole] = if by_planes { factorization.clipped_pixels(v, slices) } else { everything };
+        self.holes.clear();
+        factorization.hollow_pixels(v, slices, holes, |pixels| self.holes.push(pixels));
         let positions = slices.map(|k| factorization.position(k) as f32);
         let mut any = 0;
         for (word, &open) in open.iter().enumerate() {
@@ -29,7 +49,11 @@ impl ClippedPixels {
             let mut cut = 0;
             if open != 0 {
                 cut = !within(&whole, word);
-                if let Some(limits) = factorization.limits() {
+                for [some, all] in &self.holes {
+                    open &= !within(all, word);
+                    cut |= within(some, word);
+                }
+                if let Some(limits) = factorization.limits().filter(|_| by_limits) {
                     let [some, whole] = limits.seen(v, word, positions);
                     open &= some;
                     cut |= !whole;

@@ -14,7 +14,7 @@ use super::slabs::SlabComposite;
 use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, Weights};
 use crate::classify::preintegration::Slabs;
-use crate::render::factorization::{Factorization, SlicePlacement};
+use crate::render::factorization::{Factorization, Holes, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
 use crate::render::material::Light;
 use crate::render::slab::{Correction, opacity_ratio};
@@ -95,6 +95,11 @@ impl<L: Lattice, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V
 /// Whether clipping leaves all of a pixel's ray between two slices; `None` where it leaves nothing.
 fn clipped(f: &Factorization, [u, v]: [usize; 2], slices: [f64; 2]) -> Option<bool> {
     let [mut some, mut whole] = f.clipped_pixels(v, slices).map(|pixels| pixels.contains(&u));
+    f.hollow_pixels(v, slices, Holes::ALL, |hollow| {
+        let [touched, gone] = hollow.map(|pixels| pixels.contains(&u));
+        some &= !gone;
+        whole &= !touched;
+    });
     if let Some(limits) = f.limits() {
         let (seen, between) = (limits.at(u, v), slices.map(|k| f.position(k) as f32));
         some &= seen.meets(between) && !limits.holes(u, v).any(|hole| hole.holds(between));

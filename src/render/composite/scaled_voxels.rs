@@ -91,11 +91,15 @@ impl VoxelLattice for Scaled {
         if us.is_empty() {
             return;
         }
+        let band_end = band.first + band.height();
+        let vs = vs.start.max(band.first)..vs.end.min(band_end);
+        if vs.is_empty() || !scratch.clipped.enter(f, vs.clone(), f.interval(k)) {
+            return;
+        }
         let material = voxels.material.slice(f.share(k));
         let cue = voxels.cue.map(|cue| cue.slice(k as f64));
         scratch.enter_slice(along_v.taps());
-        let band_end = band.first + band.height();
-        for v in vs.start.max(band.first)..vs.end.min(band_end) {
+        for v in vs {
             let (first, taps) = (along_v.first(v), along_v.taps());
             scratch.weights.clear();
             scratch.weights.extend((first..first + taps).map(|j| along_v.weight(v, j)));
@@ -116,7 +120,7 @@ impl VoxelLattice for Scaled {
             }
             scratch.shade(voxels.source, first, k, material);
             let finish = |sample: Vec4, u, length, clipped: &ClippedPixels| {
-                let left = if f.is_clipped() { voxels.left(u, v, k, clipped) } else { None };
+                let left = if clipped.is_any() { voxels.left(u, v, k, clipped) } else { None };
                 let of_length = if H::PAINTED {
                     material.resampled(sample, length)
                 } else {
@@ -177,7 +181,7 @@ impl Scratch {
             }
         }
         let mut any = self.pixels.keep(scanline.non_opaque, &at.us);
-        if any && at.factorization.is_clipped() {
+        if any && self.clipped.is_any() {
             let f = at.factorization;
             any = self.clipped.find(f, at.v, f.interval(at.k), scanline.non_opaque)
                 && self.pixels.keep(self.clipped.open(), &at.us);

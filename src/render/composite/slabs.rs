@@ -168,7 +168,11 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         let rows = band.first..band.first + band.height();
         scratch.inside.clear();
         scratch.inside.add(slab.pixels.clone());
-        for v in slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end) {
+        let vs = slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end);
+        if vs.is_empty() || !scratch.clipped.enter(self.factorization, vs.clone(), slab.ends) {
+            return;
+        }
+        for v in vs {
             let row = v - band.first;
             let mut scanline = band.scanline(row);
             let Scratch { front, back, lengths, inside, pixels, clipped, fresh, kept, buffer } = &mut *scratch;
@@ -214,7 +218,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         {
             return false;
         }
-        !self.factorization.is_clipped()
+        !clipped.is_any()
             || clipped.find(self.factorization, v, slab.ends, scanline.non_opaque)
                 && pixels.keep(clipped.open(), &(0..usize::MAX))
     }
@@ -243,9 +247,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
                 share: slab.share,
             };
             let opaque = match (lit, cue.is_some()) {
-                _ if self.factorization.is_clipped() && clipped.cuts(u, length) => {
-                    self.blend_cut(run, v, slab, clipped)
-                }
+                _ if clipped.is_any() && clipped.cuts(u, length) => self.blend_cut(run, v, slab, clipped),
                 (false, false) => self.blend_run::<false, false>(run),
                 (false, true) => self.blend_run::<false, true>(run),
                 (true, false) => self.blend_run::<true, false>(run),

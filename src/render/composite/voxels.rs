@@ -129,6 +129,10 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
         if under == 0 {
             return;
         }
+        let slices = f.interval(k);
+        if !clipped.enter(f, start_v..end_v, slices) {
+            return;
+        }
         let material = self.material.slice(f.share(k));
         let weights = Weights::new(fraction_u, fraction_v);
         let cue = self.cue.map(|cue| cue.slice(k as f64));
@@ -153,10 +157,10 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             let mut open =
                 Open { words: scanline.non_opaque, first: first_u, between: fraction_u > 0.0, length: f.dims[0] };
             below = lower.map(|lower| (j + 1, lower));
-            if f.is_clipped() {
+            if clipped.is_any() {
                 let touches = self.source.touches(&upper, &open)
                     || lower.as_ref().is_some_and(|lower| self.source.touches(lower, &open));
-                if !touches || !clipped.find(f, v, f.interval(k), scanline.non_opaque) {
+                if !touches || !clipped.find(f, v, slices, scanline.non_opaque) {
                     continue;
                 }
                 open.words = clipped.open();
@@ -199,7 +203,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             cued(u, cut(sample, left))
         };
         let opaque = self.opaque;
-        let is_cut = self.factorization.is_clipped() && clipped.cuts_any();
+        let is_cut = clipped.is_any() && clipped.cuts_any();
         match (has_lower, cue) {
             (true, _) if is_cut => {
                 blend_clipped::<true>(scanline, touched, around, |u, sample| left(u, finish(sample)), opaque);

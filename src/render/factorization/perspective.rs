@@ -30,8 +30,8 @@ use std::ops::Range;
 
 use glam::{DMat3, DVec2, DVec3};
 
-use super::{AXIS_MARGIN, Factorization, PERMUTATIONS, Shear, permuted};
-use crate::render::view::{Clip, View};
+use super::{AXIS_MARGIN, Convex, Factorization, PERMUTATIONS, Shear, permuted};
+use crate::render::view::View;
 use crate::volume::Volume;
 
 /// Voxels by which a ray may move from slice to slice along either axis before the picture is split. (A
@@ -234,8 +234,8 @@ impl Pyramid {
                 sheared(directions.z_axis),
             ),
             extent,
-            clip: Clip::default(),
-            clip_bounds: vec![],
+            clip: Convex::default(),
+            holes: vec![],
             limits: None,
         };
         Some(unclipped.clipped(view, &world_from_index))

@@ -1,0 +1,143 @@
+//! What the scanlines of slices meet of a convex shape.
+//!
+//! A kernel asks for each scanline of each slice, so that a half-space is told by where along the scanline it begins or ends: a sum, no
+//! division.
+
+use std::ops::Range;
+
+use glam::DVec3;
+
+use super::Lattice;
+use crate::render::view::{Ball, Clip, HalfSpace};
+
+/// Voxels by which rounding may be off.
+const MARGIN: f64 = 1e-9;
+
+/// Where a block is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Meeting {
+    Inside,
+    Outside,
+    /// Perhaps both.
+    Across,
+}
+
+/// A convex shape in voxel coordinates i, j, k.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Convex {
+    /// Of half-spaces that a scanline enters or leaves, the first component of the normal is 1 or -1.
+    clip: Clip,
+    /// Half-spaces that hold all of it, in the same form.
+    bounds: Vec<HalfSpace>,
+}
+
+impl Convex {
+    pub fn new(clip: &Clip) -> Self {
+        let halves: Vec<_> = clip.halves.iter().map(along_scanlines).collect();
+        let of_balls = clip.balls.iter().flat_map(Ball::bounds).map(|half| along_scanlines(&half));
+        let bounds = halves.iter().copied().chain(of_balls).collect();
+        Self { clip: Clip { halves, balls: clip.balls.clone() }, bounds }
+    }
+
+    /// True where it is everything.
+    pub fn is_empty(&self) -> bool {
+        self.clip.is_empty()
+    }
+
+    /// What of a span of `start + t step` is within it.
+    #[inline(always)]
+    pub fn span(&self, start: DVec3, step: DVec3, span: [f64; 2]) -> [f64; 2] {
+        self.clip.span(start, step, span)
+    }
+
+    /// Of `width` pixels of scanline `v` those that may meet it between two slices, told by their lattices and places along k; and
+    /// those that are within it all the way, since it is convex.
+    #[inline(always)]
+    pub fn pixels(&self, v: usize, slices: [(Lattice, f64); 2], width: usize) -> [Range<usize>; 2] {
+        let rows = slices.map(|(Lattice { offset, scale }, k)| (offset.y + scale * v as f64, k));
+        // From a place along i to a pixel.
+        let per_voxel = slices.map(|(Lattice { scale, .. }, _)| 1.0 / scale);
+        let u = |n: usize, i: f64| (i - slices[n].0.offset.x) * per_voxel[n];
+
+        let mut whole = [f64::NEG_INFINITY, f64::INFINITY];
+        for (n, &(j, k)) in rows.iter().enumerate() {
+            let [low, high] = self.stretch(j, k);
+            whole = if low > high { [1.0, 0.0] } else { [whole[0].max(u(n, low)), whole[1].min(u(n, high))] };
+            if low > high {
+                break;
+            }
+        }
+        // What lies between the slices may reach further than on either, or lie between them altogether. A ray that passes a
+        // half-space there passes it on one of the two.
+        let mut some = [f64::NEG_INFINITY, f64::INFINITY];
+        for half in &self.bounds {
+            let [a, b] = rows.map(|(j, k)| distance(half, j, k));
+            if half.normal.x > 0.0 {
+                some[0] = some[0].max(u(0, -a).min(u(1, -b)));
+            } else if half.normal.x < 0.0 {
+                some[1] = some[1].min(u(0, a).max(u(1, b)));
+            } else if a < 0.0 && b < 0.0 {
+                return [0..0, 0..0];
+            }
+        }
+        [some, whole].map(|[low, high]| {
+            let (low, high) = (low.max(0.0).ceil(), high.min((width - 1) as f64).floor());
+            if low > high { 0..0 } else { low as usize..high as usize + 1 }
+        })
+    }
+
+    /// Where it is seen from a block of voxel coordinates.
+    #[inline(always)]
+    pub fn meets(&self, block: [DVec3; 2]) -> Meeting {
+        let at = |half: &HalfSpace| {
+            let [a, b] = block.map(|corner| half.normal * corner);
+            let [least, most] = [a.min(b), a.max(b)].map(|corner| corner.element_sum() + half.offset);
+            [least, most]
+        };
+        if self.bounds.iter().any(|half| at(half)[1] < -MARGIN) {
+            return Meeting::Outside;
+        }
+        let is_inside = self.clip.balls.is_empty() && self.clip.halves.iter().all(|half| at(half)[0] > MARGIN);
+        if is_inside { Meeting::Inside } else { Meeting::Across }
+    }
+
+    /// What it has of the scanline at j of the slice at k, along i.
+    #[inline(always)]
+    fn stretch(&self, j: f64, k: f64) -> [f64; 2] {
+        let [mut low, mut high] = [f64::NEG_INFINITY, f64::INFINITY];
+        for half in &self.clip.halves {
+            let distance = distance(half, j, k);
+            if half.normal.x > 0.0 {
+                low = low.max(-distance);
+            } else if half.normal.x < 0.0 {
+                high = high.min(distance);
+            } else if distance < 0.0 {
+                return [1.0, 0.0];
+            }
+        }
+        for ball in &self.clip.balls {
+            let [first, last] = ball.span(DVec3::new(0.0, j, k), DVec3::X);
+            if first > last {
+                return [1.0, 0.0];
+            }
+            [low, high] = [low.max(first), high.min(last)];
+        }
+        [low, high]
+    }
+}
+
+/// The same half-space with a first component of 1, 0 or -1.
+fn along_scanlines(half: &HalfSpace) -> HalfSpace {
+    let size = half.normal.x.abs();
+    // What a scanline would meet beyond any volume is met by all of it or by nothing.
+    if size <= 1e-12 * half.normal.length() {
+        return HalfSpace { normal: half.normal.with_x(0.0), ..*half };
+    }
+    HalfSpace { normal: half.normal / size, offset: half.offset / size }
+}
+
+/// How far within a half-space a scanline begins.
+#[inline(always)]
+fn distance(half: &HalfSpace, j: f64, k: f64) -> f64 {
+    half.normal.y * j + half.normal.z * k + half.offset
+}
