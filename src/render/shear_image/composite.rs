@@ -15,7 +15,7 @@ use super::packet::{IN_SLICE, LANES, Lanes, Packet};
 use super::patch::{self, Cells, Patch, Places, Slice};
 use super::sampler::Sampler;
 use super::skip::Skip;
-use super::{Frame, Pixels};
+use super::{Frame, Pixels, least};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::lighting::Lighting;
@@ -153,6 +153,8 @@ struct State {
     light: [Lanes; 2],
     /// What was added to the pixels since then.
     since: Lanes,
+    /// Something showed in this layer.
+    shows: bool,
     /// Positions on the table's axis at the end of the last slab.
     front: Lanes,
     /// The layer that `front` is in front of.
@@ -170,10 +172,10 @@ struct State {
 /// asked for in vain.
 const STALE_LIGHT: f32 = 0.5 / 255.0;
 
-/// Where slabs have their middles: all of them within a layer, or each where its ray is cut.
+/// Where slabs have their middles: all of them a fraction of the way through a layer, or each where its ray is cut.
 #[derive(Clone, Copy)]
 enum Middles<'a> {
-    Slice { t: f32, fraction: f32 },
+    Slice { layer: f32, fraction: f32 },
     Rays(&'a Lanes),
 }
 
@@ -181,7 +183,7 @@ impl Middles<'_> {
     #[inline(always)]
     fn of(&self, lane: usize) -> f32 {
         match *self {
-            Self::Slice { t, .. } => t,
+            Self::Slice { layer, fraction } => layer + fraction,
             Self::Rays(middles) => middles[lane],
         }
     }
@@ -199,11 +201,12 @@ impl State {
     fn unlit(&mut self, opacity: &Lanes) -> Lanes {
         let mut unlit = [0.0; LANES];
         for lane in 0..LANES {
-            let since = self.since[lane] + opacity[lane] * (1.0 - self.pixels[3][lane]) * self.open[lane];
-            let shown = opacity[lane] * self.open[lane] > 0.0;
-            let stale = since > STALE_LIGHT;
-            unlit[lane] = if stale && shown { 1.0 } else { 0.0 };
-            self.since[lane] = if stale && shown { 0.0 } else { since };
+            let shown = opacity[lane] * self.open[lane];
+            let since = self.since[lane] + shown * (1.0 - self.pixels[3][lane]);
+            // Without branches, so that lanes are asked all at once.
+            let asked = (since > STALE_LIGHT) & (shown > 0.0);
+            unlit[lane] = if asked { 1.0 } else { 0.0 };
+            self.since[lane] = if asked { 0.0 } else { since };
         }
         unlit
     }
@@ -270,6 +273,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             ratio: per_length.map_or([1.0; LANES], |per_length| packet.length.map(|length| length * per_length)),
             light: [[0.0; LANES]; 2],
             since: [f32::INFINITY; LANES],
+            shows: false,
             front: [0.0; LANES],
             reached: usize::MAX,
             next: None,
@@ -284,8 +288,18 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
     #[inline(always)]
     fn go_on(&self, packet: &Packet, state: &mut State, layer: usize) {
         let next = self.walk.skip.next_layer(packet, layer, state.end);
-        state.next = if next < state.end { Some(next) } else { None };
-        state.cells = Cells::touched(packet, [next as f32, (next + 1) as f32], self.walk.sampler.dims());
+        if next < state.end {
+            self.enter(packet, state, next);
+        } else {
+            state.next = None;
+        }
+    }
+
+    /// Makes a layer the next one.
+    #[inline(always)]
+    fn enter(&self, packet: &Packet, state: &mut State, layer: usize) {
+        state.next = Some(layer);
+        state.cells = Cells::touched(packet, [layer as f32, (layer + 1) as f32], self.walk.sampler.dims());
     }
 
     /// Takes the packets of a tile through the volume.
@@ -329,6 +343,9 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                     if state.next != Some(layer) {
                         continue;
                     }
+                    if n == 1 {
+                        state.shows = false;
+                    }
                     if n == 1 && state.reached != layer {
                         let places = patch.places(packet, &state.cells, layer as f32);
                         state.front = self.table.coordinates(patch.scalars(Slice::Near, &places));
@@ -344,7 +361,13 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                     state.reached = layer + 1;
                     state.next = None;
                     if state.is_open() {
-                        self.go_on(packet, state, layer + 1);
+                        // Behind what shows there is mostly more.
+                        let next = layer + 1;
+                        if state.shows && next < state.end {
+                            self.enter(packet, state, next)
+                        } else {
+                            self.go_on(packet, state, next)
+                        }
                     }
                 }
             }
@@ -371,7 +394,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         for lane in 0..LANES {
             slabs[lane] = self.table.slab(state.front[lane], back[lane]);
         }
-        let middles = Middles::Slice { t: 0.5 * (from + to), fraction };
+        let middles = Middles::Slice { layer: 0.5 * (from + to) - fraction, fraction };
         self.blend(packet, state, patch, middles, &slabs, &[1.0; LANES]);
     }
 
@@ -421,6 +444,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         if !any(&shown) {
             return;
         }
+        state.shows = true;
         let by_gradient = SCALED && self.walk.gradient_opacity.is_some();
         let unlit = if LIT && !by_gradient { state.unlit(&opacity) } else { [1.0; LANES] };
         let asked = (LIT || by_gradient) && any(&unlit);
@@ -447,7 +471,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             for channel in [&mut red, &mut green, &mut blue] {
                 for lane in 0..LANES {
                     let lit = channel[lane] * state.light[0][lane] + opacity[lane] * state.light[1][lane];
-                    channel[lane] = lit.min(opacity[lane]);
+                    channel[lane] = least(lit, opacity[lane]);
                 }
             }
         }
@@ -483,9 +507,9 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         let [i, j] = IN_SLICE[packet.axis];
         let columns = [self.walk.gradient.col(i), self.walk.gradient.col(j), self.walk.gradient.col(packet.axis)];
         match middles {
-            Middles::Slice { t, fraction } => {
+            Middles::Slice { layer, fraction } => {
                 patch.differentiate(fraction);
-                let places: Places = patch.places(packet, &state.cells, t);
+                let places: Places = patch.places(packet, &state.cells, layer + fraction);
                 let sign = if packet.reversed { -1.0 } else { 1.0 };
                 world([columns[0], columns[1], columns[2] * sign], &patch.gradients(&places))
             }

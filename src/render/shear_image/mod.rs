@@ -44,6 +44,18 @@ use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 use packet::{IndexRays, LANES, Packet};
 
+/// The lesser of two numbers: one instruction, where [`f32::min`] has to look for what is no number.
+#[inline(always)]
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// The greater of two.
+#[inline(always)]
+fn most(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
 /// Rows that one job fills: packets below each other read the same voxels.
 const BAND_HEIGHT: usize = 8;
 

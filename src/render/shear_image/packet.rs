@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat4, DVec3};
 
+use super::{least, most};
 use crate::render::depth::SceneDepth;
 use crate::render::regions::Layer;
 use crate::render::view::{Clip, HalfSpace, Rays, View, cut};
@@ -298,7 +299,7 @@ impl Packet {
         let (a, b) = (start[first] + from * slope[first], start[first] + to * slope[first]);
         let (c, d) = (start[last] + from * slope[last], start[last] + to * slope[last]);
         let end = (cells - 1) as f32;
-        let (low, high) = (a.min(b).min(c.min(d)), a.max(b).max(c.max(d)));
-        [low.clamp(0.0, end) as u32 as usize, high.clamp(0.0, end) as u32 as usize]
+        let (low, high) = (least(least(a, b), least(c, d)), most(most(a, b), most(c, d)));
+        [low, high].map(|at| least(most(at, 0.0), end) as u32 as usize)
     }
 }

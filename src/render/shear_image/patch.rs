@@ -13,6 +13,7 @@
 use glam::{Mat4, Vec4};
 
 use super::packet::{IN_SLICE, LANES, Lanes, Packet};
+use super::{least, most};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::Scanlines;
 
@@ -182,8 +183,8 @@ impl Patch {
             let at = packet.at(n, t);
             for lane in 0..LANES {
                 // Rounding may leave a ray a hair outside of the cells.
-                let at = at[lane].max(low).min(high) - origin;
-                let cell = (((at - 0.5).max(0.0) + INTEGER) - INTEGER).min(last);
+                let at = least(most(at[lane], low), high) - origin;
+                let cell = least((most(at - 0.5, 0.0) + INTEGER) - INTEGER, last);
                 whole[n][lane] = cell;
                 fractions[n][lane] = at - cell;
             }
