@@ -101,6 +101,9 @@ impl VoxelLattice for Scaled {
         scratch.enter_slice(along_v.taps());
         for v in vs {
             let (first, taps) = (along_v.first(v), along_v.taps());
+            if taps < WORD && voxels.source.shown(first, taps, k) == 0 {
+                continue;
+            }
             scratch.weights.clear();
             scratch.weights.extend((first..first + taps).map(|j| along_v.weight(v, j)));
             if !scratch.enter_rows(voxels.source, first, k) {
