@@ -78,6 +78,12 @@ impl ClippedPixels {
         self.cut.iter().any(|&bits| bits != 0)
     }
 
+    /// True where not all is left of pixel `u`.
+    #[inline(always)]
+    pub fn is_cut(&self, u: usize) -> bool {
+        self.cut[u / WORD] >> (u % WORD) & 1 == 1
+    }
+
     /// True where not all is left of one of up to 64 pixels from `u` on.
     #[inline(always)]
     pub fn cuts(&self, u: usize, length: usize) -> bool {

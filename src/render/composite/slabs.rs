@@ -284,7 +284,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
             let u = run.u + at;
             let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
-            let left = clipped.cuts(u, 1).then(|| self.factorization.left(u, v, slab.ends));
+            let left = clipped.is_cut(u).then(|| self.factorization.left(u, v, slab.ends));
             let mut sample = self.cut_sample(*front, *back, length, left);
             if let Some(cue) = run.cue {
                 sample = (sample * cue.at(u)).with_w(sample.w);

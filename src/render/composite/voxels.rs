@@ -221,14 +221,16 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
 
 impl<L: Lattice, V, H, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
     /// The share of slice `k` that clipping leaves of pixel (u, v), where that is not all.
-    #[inline(never)]
+    #[inline(always)]
     pub(super) fn left(&self, u: usize, v: usize, k: usize, clipped: &ClippedPixels) -> Option<f32> {
-        if !clipped.cuts(u, 1) {
-            return None;
-        }
-        let left = self.factorization.left(u, v, self.factorization.interval(k));
-        Some(left.map(|[enter, leave]| leave - enter).sum())
+        if clipped.is_cut(u) { Some(share(self.factorization, [u, v], k)) } else { None }
     }
+}
+
+/// The share of slice `k` that clipping leaves of a pixel.
+#[inline(never)]
+fn share(factorization: &Factorization, [u, v]: [usize; 2], k: usize) -> f32 {
+    factorization.left(u, v, factorization.interval(k)).map(|[enter, leave]| leave - enter).sum()
 }
 
 /// A scanline of pixels on a slice.
