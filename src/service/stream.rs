@@ -39,8 +39,8 @@ use crate::render::Quality;
 /// Frames on their way at most: one that the client shows, and one that follows it.
 const WINDOW: u64 = 2;
 
-/// Without a request for so long the client rests: twice what a pointer leaves between two events on a slow screen.
-const REST: Duration = Duration::from_millis(60);
+/// Without a request for so long the client rests: more than a pointer leaves between two events on a slow screen, of 30 frames/s.
+const REST: Duration = Duration::from_millis(40);
 
 /// A frame of movement that takes longer may be dropped for a newer one.
 const SLOW: Duration = Duration::from_millis(100);
