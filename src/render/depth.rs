@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::factorization::Factorization;
-use super::view::View;
+use super::view::{Rays, View};
 use crate::volume::Volume;
 
 /// A step between two pixels that is so many times as large as the larger of the two beside it is a tear.
@@ -96,6 +96,10 @@ impl SceneDepth {
         let (x, y) = (at.x.floor(), at.y.floor());
         let (fx, fy) = ((at.x - x) as f32, (at.y - y) as f32);
         let (x, y) = (x as isize, y as isize);
+        // Most of many pictures is empty.
+        if [get(x, y), get(x + 1, y), get(x, y + 1), get(x + 1, y + 1)] == [f32::INFINITY; 4] {
+            return f32::INFINITY;
+        }
         let row = |y: isize| goes_on([-1, 0, 1, 2].map(|n| get(x + n, y)));
         let column = |x: isize| goes_on([-1, 0, 1, 2].map(|n| get(x, y + n)));
         if row(y) && row(y + 1) && column(x) && column(x + 1) {
@@ -127,6 +131,17 @@ pub struct Limits {
     holes: Vec<Vec<Hole>>,
     /// By scanline and 64 pixels.
     words: Vec<Word>,
+    /// By scanline.
+    summaries: Vec<Summary>,
+}
+
+/// What clipping leaves of pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Left {
+    All,
+    /// Perhaps some.
+    Some,
+    Nothing,
 }
 
 /// From where to where.
@@ -151,6 +166,27 @@ struct Word {
     /// Which of the scanline's holes are theirs, and the stretch that these are within.
     holes: Range<usize>,
     within: Stretch,
+}
+
+/// What is the same for a scanline: what is seen of any pixel is within `some`, and of every pixel all of `whole`.
+#[derive(Clone, Debug, PartialEq)]
+struct Summary {
+    some: Stretch,
+    whole: Stretch,
+}
+
+impl Summary {
+    fn new(words: &[Word]) -> Self {
+        let (mut some, mut whole) = (Stretch::NOTHING, Stretch::ALL);
+        for Word { bounds: [least, greatest], holes, .. } in words {
+            some = Stretch { from: some.from.min(least.from), to: some.to.max(greatest.to) };
+            whole = Stretch { from: whole.from.max(greatest.from), to: whole.to.min(least.to) };
+            if !holes.is_empty() {
+                whole = Stretch::NOTHING;
+            }
+        }
+        Self { some, whole }
+    }
 }
 
 impl Stretch {
@@ -194,7 +230,8 @@ impl Limits {
             (holes, words)
         });
         let (holes, words): (Vec<_>, Vec<_>) = filled.unzip();
-        Self { width, stretches, holes, words: words.into_iter().flatten().collect() }
+        let summaries = words.iter().map(|words| Summary::new(words)).collect();
+        Self { width, stretches, holes, words: words.into_iter().flatten().collect(), summaries }
     }
 
     /// True where nothing is seen at all.
@@ -216,6 +253,23 @@ impl Limits {
         let word = &self.words[v * self.width.div_ceil(WORD) + u / WORD];
         let theirs = self.holes[v][word.holes.clone()].iter().filter(move |hole| hole.u as usize == u);
         theirs.map(|hole| hole.stretch)
+    }
+
+    /// What is seen of some scanlines between two positions.
+    #[inline(always)]
+    pub fn leave(&self, vs: Range<usize>, between: [f32; 2]) -> Left {
+        let (mut some, mut all) = (false, true);
+        for summary in &self.summaries[vs] {
+            some |= summary.some.meets(between);
+            all &= summary.whole.holds(between);
+        }
+        if all {
+            Left::All
+        } else if some {
+            Left::Some
+        } else {
+            Left::Nothing
+        }
     }
 
     /// Of the 64 pixels of `word` of scanline `v`, those of which something is seen between two positions, and those of which
@@ -254,10 +308,9 @@ impl Limits {
 #[derive(Debug)]
 pub struct InverseWarp<'a> {
     depth: &'a SceneDepth,
-    view: &'a View,
     factorization: &'a Factorization,
     image_from_sheared: DMat3,
-    index_from_world: DMat4,
+    along: AlongRays,
     size: DVec2,
     /// By pixel of the intermediate image.
     ends: Vec<f32>,
@@ -269,10 +322,9 @@ impl<'a> InverseWarp<'a> {
         let depth = view.depth()?;
         let mut inverse = Self {
             depth,
-            view,
             factorization,
             image_from_sheared: factorization.sheared_from_image.inverse(),
-            index_from_world: volume.world_from_index().inverse(),
+            along: AlongRays::new(view, volume, factorization),
             size: DVec2::new(depth.width as f64, depth.height as f64),
             ends: vec![],
         };
@@ -302,9 +354,7 @@ impl<'a> InverseWarp<'a> {
         if !distance.is_finite() {
             return f64::INFINITY;
         }
-        let ray = self.view.ray(at);
-        let end = self.index_from_world.transform_point3(ray.origin + ray.direction * f64::from(distance));
-        self.factorization.position(end[self.factorization.principal_axis])
+        self.factorization.position(self.along.index(at, distance.into()))
     }
 
     /// What is seen in front of it.
@@ -316,10 +366,15 @@ impl<'a> InverseWarp<'a> {
         })
     }
 
-    /// Whether what ends the rays is torn among the pixels from (u, v) to (u + 1, v + 1). What lies beyond the volume is not told
+    /// Whether what ends the rays is torn among the pixels from (u, v) to (u + 1, v + 1), both on the image. What lies beyond the volume is not told
     /// apart.
     pub fn is_torn(&self, u: usize, v: usize) -> bool {
         let [width, height] = self.factorization.size;
+        let [a, b] = [0, 1].map(|du| self.within_volume(self.end(u + du, v)));
+        let [c, d] = [0, 1].map(|du| self.within_volume(self.end(u + du, v + 1)));
+        if [b - a, d - c, c - a, d - b].iter().all(|step| step.abs() <= FLAT) {
+            return false;
+        }
         let get = |du: usize, dv: usize| {
             // Of -1, 0, 1, 2 from the first pixel on.
             let at = |first: usize, n: usize, size: usize| (first + n).saturating_sub(1).min(size - 1);
@@ -333,6 +388,47 @@ impl<'a> InverseWarp<'a> {
     /// An end, or a slice beyond the volume where it is farther away than that.
     pub fn within_volume(&self, end: f32) -> f32 {
         end.clamp(-1.0, self.factorization.dims[2] as f32)
+    }
+}
+
+/// Where points along the rays of a view are along a volume's principal axis, in voxels.
+#[derive(Clone, Copy, Debug)]
+struct AlongRays {
+    rays: Rays,
+    /// Of the point or direction that a ray is told by at pixel (0, 0), and from a pixel to the next along x and y.
+    corner: f64,
+    dx: f64,
+    dy: f64,
+    /// Of a millimetre along parallel rays, or of the eye.
+    other: f64,
+}
+
+impl AlongRays {
+    fn new(view: &View, volume: &Volume, factorization: &Factorization) -> Self {
+        let index_from_world = volume.world_from_index().inverse();
+        let axis = factorization.principal_axis;
+        let point = |p| index_from_world.transform_point3(p)[axis];
+        let vector = |v| index_from_world.transform_vector3(v)[axis];
+        let rays = *view.rays();
+        match rays {
+            Rays::Parallel { corner, dx, dy, direction } => {
+                Self { rays, corner: point(corner), dx: vector(dx), dy: vector(dy), other: vector(direction) }
+            }
+            Rays::Perspective { eye, corner, dx, dy } => {
+                Self { rays, corner: vector(corner), dx: vector(dx), dy: vector(dy), other: point(eye) }
+            }
+        }
+    }
+
+    /// Of the point at a distance (mm) along the ray of pixel coordinates.
+    fn index(&self, at: DVec2, distance: f64) -> f64 {
+        let told = self.corner + self.dx * at.x + self.dy * at.y;
+        match self.rays {
+            Rays::Parallel { .. } => told + self.other * distance,
+            Rays::Perspective { corner, dx, dy, .. } => {
+                self.other + told * (distance / (corner + dx * at.x + dy * at.y).length())
+            }
+        }
     }
 }
 

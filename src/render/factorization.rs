@@ -29,7 +29,7 @@ use std::ops::Range;
 use glam::{DAffine2, DAffine3, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
-use super::depth::{Limits, Stretch};
+use super::depth::{Left, Limits, Stretch};
 use super::regions::MAX_REGIONS;
 use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
@@ -370,7 +370,14 @@ impl Factorization {
     /// What may clip pixels of some scanlines between two slices; `None` where nothing of any is left.
     #[inline(always)]
     pub fn clipping(&self, vs: Range<usize>, slices: [f64; 2]) -> Option<Clipping> {
-        let mut clipping = Clipping { by_planes: false, holes: Holes(0), by_limits: self.limits.is_some() };
+        let mut clipping = Clipping::default();
+        if let Some(limits) = &self.limits {
+            match limits.leave(vs.clone(), slices.map(|k| self.position(k) as f32)) {
+                Left::Nothing => return None,
+                Left::All => {}
+                Left::Some => clipping.by_limits = true,
+            }
+        }
         if self.clip.is_empty() && self.holes.is_empty() {
             return Some(clipping);
         }
