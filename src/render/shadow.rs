@@ -39,7 +39,7 @@ const BAND_HEIGHT: usize = 32;
 /// What each voxel lacks of a light.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shadow {
-    /// In 255ths, x fastest. Voxels in and beside which nothing shows have 0.
+    /// In 255ths, x fastest. Voxels far from all that shows have 0.
     lacking: Vec<u8>,
 }
 
@@ -54,7 +54,7 @@ impl Shadow {
         &self.lacking
     }
 
-    /// Lets what `scene` shows cast the shadows of a light that it lies `towards` (world, of any length above 0), but for what lies
+    /// Lets what `scene` shows cast shadows, away from a light that lies `towards` (world, of any length above 0), but for what is
     /// outside of `clip` or in one of `holes`. Runs on the current rayon pool.
     pub fn cast(scene: &Scene<'_>, towards: DVec3, clip: &Clip, holes: &[Clip]) -> Self {
         let volume = scene.prepared.volume();

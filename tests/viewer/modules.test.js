@@ -144,7 +144,7 @@ test('the bounding sphere is that of the voxel centres', () => {
 const RICH = {
   volume: 'a b&ü', camera: { projection: 'perspective', azimuth: -12.34, elevation: 5.6, roll: 7, zoom: 2.5, fov_y: 45, target: [1.5, -2, 3.25] },
   transfer: { points: [{ value: -1000, opacity: 0, color: '#000000' }, { value: 1e-7, opacity: 0.25, color: '#ff8800' }], opacity_distance: 0.5, gradient_opacity: [{ value: 10, opacity: 0 }, { value: 50, opacity: 1 }] },
-  shading: { ...DEFAULT_SHADING, ambient: 0.3, lights: ['headlight', { direction: [0.5, -0.25, 0.125], intensity: 0.8 }] },
+  shading: { ...DEFAULT_SHADING, ambient: 0.3, lights: ['headlight', { direction: [0.5, -0.25, 0.125], intensity: 0.8 }, { direction: [1, 0, 0], intensity: 1, shadows: true }] },
   blend: 'average', window: { center: 40, width: 400 }, depthCueing: { front: 1.2, density: 0.5 },
   plane: { point: [1, -2.5, 0], normal: [0, 0.6, -0.8] }, box: { min: [-1, -2, -3], max: [1, 2, 3.5] },
   lens: { center: [1, -2, 0.5], radius: 12.5, shows: 'fainter' },

@@ -121,6 +121,7 @@ test('a shared link shows the same pixels, whatever was set', async () => {
   await drag(page, '.transfer-plot', [0.5, 0.3], [0.55, 0.3]);
   await page.getByRole('tab', { name: 'Light' }).click();
   await page.getByRole('button', { name: 'Add a lamp' }).click();
+  await page.getByRole('switch', { name: 'Shadows' }).check();
   await page.getByText('Fade with depth').click();
   await page.getByRole('tab', { name: 'View' }).click();
   await page.getByRole('radio', { name: 'Perspective' }).check();

@@ -1,9 +1,7 @@
 /**
  * @file What the service is asked over HTTP, and what can go wrong with it.
- *
- * Every failure becomes a {@link Problem} that says what a person can do about it: wait (busy, loading, gone)
- * or change something (refused, missing, failed). Addresses are relative, so that a proxy may
- * serve the viewer under any path.
+ * A failure becomes a {@link Problem} that says what a person can do: wait (busy, loading, gone) or change something (refused,
+ * missing, failed). Addresses are relative: a proxy may serve the viewer under any path.
  */
 import { framePath } from './request.js';
 

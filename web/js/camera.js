@@ -1,6 +1,5 @@
 /**
  * @file The camera: how gestures turn, move and enlarge it.
- *
  * The state keeps the service's orbit (azimuth, elevation, roll): what links, requests and people say. Turning happens on the camera's
  * axes and is read back into angles, so that nothing is lost at the poles.
  */

@@ -1,6 +1,5 @@
 /**
  * @file Labelled controls: sliders, switches, choices, numbers.
- *
  * Each gives its element and `show`, which sets what it displays without calling back.
  */
 import { el } from './dom.js';

@@ -1,7 +1,6 @@
 /**
  * @file The orientation cube: how the patient lies in the picture, and a way to turn there.
- *
- * For keyboards and screen readers there are six plain buttons beside it.
+ * Keyboards and screen readers have six plain buttons.
  */
 import { el, svg } from './dom.js';
 import { ANATOMICAL, axes } from './camera.js';

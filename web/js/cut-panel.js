@@ -1,6 +1,5 @@
 /**
  * @file The panel of cuts: a plane whose depth is one slider, a box, and a lens.
- *
  * A slider away from its start cuts. Numbers are rounded here: links and requests have the same.
  */
 import { axes, boundingSphere, span } from './camera.js';

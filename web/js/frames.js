@@ -1,6 +1,5 @@
 /**
  * @file Which frame to ask for next.
- *
  * The newest view wins: at most two drafts are under way (the second fills the line while the first is drawn). Once the view rests,
  * the same is asked for in `standard`, then in `high` where that is fast; both are given up at the next move.
  */

@@ -1,8 +1,6 @@
 /**
  * @file Pointers, wheel and keys on the picture, as changes of the camera.
- *
- * A finger has no buttons and no keyboard: what a modifier does can also be chosen as the tool of a plain drag, and two fingers pan,
- * enlarge and roll at once.
+ * A finger has no modifiers: what they do can be chosen as the tool of a plain drag, and two fingers pan, enlarge and roll at once.
  */
 import { ANATOMICAL, orbited, panned, spun, swivelled, zoomed } from './camera.js';
 import { ARROWS } from './dom.js';

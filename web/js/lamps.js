@@ -1,10 +1,9 @@
 /**
  * @file Lamps: lights that stay where they are while the camera goes round the scan.
- *
  * The pad is the half of a ball that faces the camera; where its dot is, the light comes from.
  */
 import { axes } from './camera.js';
-import { slider } from './controls.js';
+import { slider, toggle } from './controls.js';
 import { ARROWS, el, iconButton, svg } from './dom.js';
 import { rounded } from './request.js';
 import { add, dot, normalized, scale } from './vector.js';
@@ -55,7 +54,8 @@ export class Lamps {
 	#changeLamp(nth, patch, moving) {
 		let lamps = 0;
 		const changed = this.#lights.flatMap((light) => {
-			if (light === 'headlight' || lamps++ !== nth) return [light];
+			// One casts shadows.
+			if (light === 'headlight' || lamps++ !== nth) return [patch?.shadows && light !== 'headlight' ? { ...light, shadows: undefined } : light];
 			return patch ? [{ ...light, ...patch }] : [];
 		});
 		this.change(changed, moving);
@@ -94,8 +94,9 @@ class LampRow {
 		this.intensity = slider('Brightness', {
 			min: 0, max: 2, step: 0.05, text: (value) => value.toFixed(2), change: (intensity, moving) => change({ intensity }, moving),
 		});
+		this.shadows = toggle('Shadows', (on) => change({ shadows: on || undefined }, false));
 		const remove = iconButton('trash', `Remove lamp ${nth + 1}`, () => change(null, false));
-		this.element = el('div', { class: 'lamp' }, this.pad, this.intensity.element, remove);
+		this.element = el('div', { class: 'lamp' }, this.pad, el('div', {}, this.intensity.element, this.shadows.element), remove);
 	}
 
 	/** @param {Lamp} lamp */
@@ -106,6 +107,7 @@ class LampRow {
 		this.dot.setAttribute('transform', `translate(${(this.#x * PAD).toFixed(1)},${(-this.#y * PAD).toFixed(1)})`);
 		this.dot.classList.toggle('behind', dot(towards, back) < 0);
 		this.intensity.show(lamp.intensity);
+		this.shadows.show(!!lamp.shadows);
 	}
 
 	/** @param {number} x @param {number} y */

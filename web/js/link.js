@@ -1,6 +1,5 @@
 /**
  * @file The state as the page's fragment, `#volume=head&azimuth=30&preset=ct-bone`, and back.
- *
  * It has the names of the frame route's query and only what differs from the defaults; what cannot be understood is left at its
  * default: half a link still shows the scan.
  */
@@ -127,12 +126,12 @@ function readTransfer(text) {
 	return transfer.points.length ? transfer : null;
 }
 
-/** `off`, `on`, or the four coefficients and the lights: `0.2,0.8,0.2,20;head;1,0,0,0.5`. @param {Shading | boolean} shading */
+/** `off`, `on`, or the four coefficients and the lights: `0.2,0.8,0.2,20;head;1,0,0,0.5`, with `,1` where it casts shadows. @param {Shading | boolean} shading */
 function writeShading(shading) {
 	if (typeof shading === 'boolean') return shading ? 'on' : 'off';
 	const { ambient, diffuse, specular, shininess, lights } = shading;
 	const lamps = lights.map((light) =>
-		light === 'headlight' ? 'head' : [...light.direction, light.intensity].join(','));
+		light === 'headlight' ? 'head' : [...light.direction, light.intensity, ...(light.shadows ? [1] : [])].join(','));
 	return [[ambient, diffuse, specular, shininess].join(','), ...lamps].join(';');
 }
 
@@ -146,9 +145,9 @@ function readShading(text) {
 	/** @type {Shading['lights']} */
 	const lights = [];
 	for (const lamp of lamps) {
-		const four = numbers(lamp, 4);
+		const parts = numbers(lamp, 4) ?? numbers(lamp, 5);
 		if (lamp === 'head') lights.push('headlight');
-		else if (four) lights.push({ direction: [four[0], four[1], four[2]], intensity: four[3] });
+		else if (parts) lights.push({ direction: [parts[0], parts[1], parts[2]], intensity: parts[3], ...(parts[4] ? { shadows: true } : {}) });
 	}
 	return { ...DEFAULT_SHADING, ambient, diffuse, specular, shininess, lights };
 }

@@ -1,8 +1,7 @@
 /**
  * @file The transfer function behind the state, its history, and windowing.
- *
  * The state may name a preset or nothing at all; an editor needs points. {@link Look} asks the service what the
- * name stands for on this scan, so that the first edit starts from exactly what is seen.
+ * name stands for, so that the first edit starts from what is seen.
  */
 import { fitted } from './api.js';
 import { short, windowOf, windowed } from './transfer.js';

@@ -1,9 +1,7 @@
 /**
  * @file Which looks a scan is offered.
- *
- * Presets for computed tomography are written in Hounsfield units, and many files are not: "Skin" by its name is then a solid box. The
- * scan's own look tells how its units lie: either it is one of the presets, shifted, and then the others are shifted alike; or the
- * units mean nothing, and two looks are drawn from it.
+ * Presets for CT are in Hounsfield units, and many files are not: "Skin" is then a solid box. The scan's own look tells how its
+ * units lie: it is one of the presets, shifted, and the others are shifted alike; or they mean nothing, and two looks are drawn from it.
  */
 import { short } from './transfer.js';
 

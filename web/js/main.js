@@ -1,6 +1,4 @@
-/**
- * @file The viewer's parts, made and joined. Everything else happens through the store.
- */
+/** @file The viewer's parts, made and joined. Everything else happens through the store. */
 import { Problem, fitted, frame, histogram, listPresets, listVolumes } from './api.js';
 import { ANATOMICAL, between, boundingSphere, described } from './camera.js';
 import { Cube } from './cube.js';

@@ -1,8 +1,6 @@
 /**
  * @file From the state to what the service is asked.
- *
- * Numbers are rounded here, and in links by the same functions: whoever follows a link asks for the
- * same frame to the last digit, and gets the same pixels.
+ * Numbers are rounded here and in links by the same functions: whoever follows a link gets the same pixels.
  */
 import { wrapped } from './camera.js';
 

@@ -1,8 +1,7 @@
 /**
  * @file All that the viewer shows, in one plain object.
- *
- * Modules never talk to each other: each reads the state, writes changes through the store, and listens. That is what makes a link
- * possible, and undo. What a default stands for is not written into it: `transfer: null` is the scan's own look.
+ * Modules never talk to each other: each reads the state, changes it through the store, and listens. So links are possible, and
+ * undo. What a default stands for is not in it: `transfer: null` is the scan's own look.
  */
 
 /** @import {Vector} from './vector.js' */
@@ -16,7 +15,7 @@
  * @property {GradientPoint[]} [gradient_opacity]
  */
 
-/** @typedef {{direction: Vector, intensity: number}} Lamp */
+/** @typedef {{direction: Vector, intensity: number, shadows?: true}} Lamp */
 
 /**
  * @typedef {object} Shading

@@ -1,8 +1,7 @@
 /**
- * @file Frames over one connection to the service, and over HTTP where there is none: the page's only source.
- *
- * The protocol is that of docs/stream.md, kept to its simplest use: every request goes whole and names one quality, which is
- * `moving` too, so that one frame answers it. HTTP is the way until a connection is open and again once it has ended.
+ * @file Frames over one connection, and over HTTP where there is none: the page's only source.
+ * The protocol is that of docs/stream.md, kept to its simplest use: every request goes whole and names one quality, `moving` too,
+ * so that one frame answers it. HTTP is the way until a connection is open and once it has ended.
  */
 import { problemIn } from './api.js';
 import { renderRequest } from './request.js';

@@ -1,6 +1,5 @@
 /**
  * @file Editing a transfer function over the histogram.
- *
  * Points are elements of their own, so that each can be focused, named and moved by keys like a slider.
  */
 import { el } from './dom.js';

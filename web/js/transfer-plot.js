@@ -1,6 +1,5 @@
 /**
  * @file The drawing of a transfer function over a histogram: axes, curve, colours, points.
- *
  * The opacity axis is a cube root, see {@link heightOf}; counts are on a logarithmic one: tissue is a thousandth
  * of the air around it.
  */

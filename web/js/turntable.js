@@ -1,8 +1,6 @@
 /**
  * @file A turn of the scan about its vertical axis, as an animated PNG.
- *
- * An animated PNG is its frames' compressed data as they are, in chunks of other names: so the service's
- * frames are put together here without a pixel being touched.
+ * That is the frames' compressed data as they are, in chunks of other names: they are put together here without a pixel being touched.
  */
 import { Problem, frame } from './api.js';
 import { renderRequest } from './request.js';

@@ -1,8 +1,7 @@
 /**
  * @file The warp: where the pixels of a frame lie in the view that is wanted now.
- *
- * Two homographies, one after the other. A frame's own takes an intermediate image into its picture: what the service would do last
- * is left to us where it can be, for it is less to send. {@link carried} takes the picture to where the camera has gone since.
+ * Two homographies, one after the other. A frame's own takes an intermediate image into its picture: the service leaves that to us where
+ * it can, for it is less to send. {@link carried} takes the picture to where the camera has gone since.
  */
 import { axes, extent } from './camera.js';
 import { dot, scale, subtract } from './vector.js';
