@@ -210,16 +210,10 @@ impl Stage {
         let mut looks = resolved.looks().map(|look| Classified::build(&prepared, look));
         let classified = looks.next().flatten();
         let of_regions = looks.collect();
-        let shadow = resolved.shadows.as_ref().map(|told| {
-            told.cast(&Scene {
-                prepared: &prepared,
-                transfer: &resolved.look.transfer,
-                classification: None,
-                encodings: None,
-                labels: labels.as_ref().map(by_label),
-                shadow: None,
-            })
-        });
+        let shadow = resolved
+            .shadows
+            .as_ref()
+            .map(|told| told.cast(&prepared, &resolved.look.transfer, labels.as_ref().map(by_label)));
         progress.finish_and_clear();
         Ok(Self { volume, prepared, classified, of_regions, labels, shadow, solids, request, resolved })
     }

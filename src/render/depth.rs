@@ -17,7 +17,7 @@ use glam::{DMat3, DMat4, DVec2, DVec3};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
-use super::factorization::Factorization;
+use super::factorization::{Factorization, Meeting};
 use super::view::{Rays, View};
 use crate::volume::Volume;
 
@@ -135,15 +135,6 @@ pub struct Limits {
     summaries: Vec<Summary>,
 }
 
-/// What clipping leaves of pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Left {
-    All,
-    /// Perhaps some.
-    Some,
-    Nothing,
-}
-
 /// From where to where.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stretch {
@@ -255,20 +246,20 @@ impl Limits {
         theirs.map(|hole| hole.stretch)
     }
 
-    /// What is seen of some scanlines between two positions.
+    /// Whether what lies on some scanlines between two positions is seen.
     #[inline(always)]
-    pub fn leave(&self, vs: Range<usize>, between: [f32; 2]) -> Left {
+    pub fn meets(&self, vs: Range<usize>, between: [f32; 2]) -> Meeting {
         let (mut some, mut all) = (false, true);
         for summary in &self.summaries[vs] {
             some |= summary.some.meets(between);
             all &= summary.whole.holds(between);
         }
         if all {
-            Left::All
+            Meeting::Inside
         } else if some {
-            Left::Some
+            Meeting::Across
         } else {
-            Left::Nothing
+            Meeting::Outside
         }
     }
 

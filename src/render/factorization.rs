@@ -29,11 +29,12 @@ use std::ops::Range;
 use glam::{DAffine2, DAffine3, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
-use super::depth::{Left, Limits, Stretch};
+use super::depth::{Limits, Stretch};
 use super::regions::MAX_REGIONS;
 use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
-use convex::{Convex, Meeting};
+use convex::Convex;
+pub use convex::Meeting;
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
 pub const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
@@ -372,10 +373,10 @@ impl Factorization {
     pub fn clipping(&self, vs: Range<usize>, slices: [f64; 2]) -> Option<Clipping> {
         let mut clipping = Clipping::default();
         if let Some(limits) = &self.limits {
-            match limits.leave(vs.clone(), slices.map(|k| self.position(k) as f32)) {
-                Left::Nothing => return None,
-                Left::All => {}
-                Left::Some => clipping.by_limits = true,
+            match limits.meets(vs.clone(), slices.map(|k| self.position(k) as f32)) {
+                Meeting::Outside => return None,
+                Meeting::Inside => {}
+                Meeting::Across => clipping.by_limits = true,
             }
         }
         if self.clip.is_empty() && self.holes.is_empty() {

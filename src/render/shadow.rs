@@ -19,16 +19,17 @@ use std::ops::Range;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::Clip;
 use super::composite::WORD;
 use super::composite::occupied::LeafRows;
 use super::composite::samples::{VoxelLight, VoxelRows};
 use super::factorization::{Factorization, SlicePlacement};
 use super::simd::{self, Kernel};
-use super::{Clip, Scene};
 use crate::classify::labels::Labels;
-use crate::classify::{Classification, CodeTables, Purpose};
+use crate::classify::{Classification, CodeTables, Purpose, TransferFunction};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines, turn};
+use crate::volume::{PreparedVolume, Volume};
 
 /// Slices before a voxel's own that cast no shadow on it.
 pub const BIAS: usize = 4;
@@ -54,14 +55,21 @@ impl Shadow {
         &self.lacking
     }
 
-    /// Lets what `scene` shows cast shadows, away from a light that lies `towards` (world, of any length above 0), but for what is
-    /// outside of `clip` or in one of `holes`. Runs on the current rayon pool.
-    pub fn cast(scene: &Scene<'_>, towards: DVec3, clip: &Clip, holes: &[Clip]) -> Self {
-        let volume = scene.prepared.volume();
+    /// Lets a volume under a transfer function (of which labels, if there are any, show a part) cast shadows, away from a light
+    /// that lies `towards` (world, of any length above 0), but for what is outside of `clip` or in one of `holes`. Runs on the
+    /// current rayon pool.
+    pub fn cast(
+        prepared: &PreparedVolume,
+        transfer: &TransferFunction,
+        labels: Option<Labels<'_>>,
+        towards: DVec3,
+        clip: &Clip,
+        holes: &[Clip],
+    ) -> Self {
+        let volume = prepared.volume();
         let factorization = Factorization::along_rays(-towards.normalize(), volume);
-        let classification =
-            Classification::build(scene.prepared, scene.transfer, Purpose::Voxels { min_opacity: 0.0 });
-        let around = with_neighbours(classification.occupied(), scene.prepared.octree().leaf_dims());
+        let classification = Classification::build(prepared, transfer, Purpose::Voxels { min_opacity: 0.0 });
+        let around = with_neighbours(classification.occupied(), prepared.octree().leaf_dims());
         let (tables, length) = (classification.tables(), factorization.slice_distance as f32);
         let world_from_voxel = factorization.world_from_voxel(volume);
         let cast = Cast {
@@ -73,11 +81,11 @@ impl Shadow {
             holes: holes.iter().map(|hole| hole.told_by(world_from_voxel)).collect(),
             opacity: tables.extinction.iter().map(|tau| -(-tau * length).exp_m1()).collect(),
             tables,
-            labels: scene.labels,
+            labels,
         };
-        let lacking = match scene.prepared.scanlines(factorization.principal_axis) {
-            AnyScanlines::U8(scanlines) => cast.run(scanlines, scene),
-            AnyScanlines::U16(scanlines) => cast.run(scanlines, scene),
+        let lacking = match prepared.scanlines(factorization.principal_axis) {
+            AnyScanlines::U8(scanlines) => cast.run(scanlines, volume, transfer),
+            AnyScanlines::U16(scanlines) => cast.run(scanlines, volume, transfer),
         };
         Self { lacking }
     }
@@ -115,11 +123,10 @@ struct Cast<'a> {
 
 impl Cast<'_> {
     /// What each voxel lacks, x fastest.
-    fn run<T: Code>(&self, scanlines: Scanlines<'_, T>, scene: &Scene<'_>) -> Vec<u8> {
+    fn run<T: Code>(&self, scanlines: Scanlines<'_, T>, volume: &Volume, transfer: &TransferFunction) -> Vec<u8> {
         let Self { factorization, placements, .. } = self;
-        let volume = scene.prepared.volume();
         let [ni, nj, nk] = factorization.dims;
-        let voxels = VoxelRows::new(scanlines, volume, factorization, VoxelLight::Off, scene.transfer);
+        let voxels = VoxelRows::new(scanlines, volume, factorization, VoxelLight::Off, transfer);
         let mut lacking = vec![0; ni * nj * nk];
         let mut rows: Vec<_> = lacking.chunks_exact_mut(ni).map(Some).collect();
         let bands = factorization.size[1].div_ceil(BAND_HEIGHT);

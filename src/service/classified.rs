@@ -30,8 +30,8 @@ use super::request::{Look, ResolvedLabels, ResolvedShadows};
 use super::store::LoadedVolume;
 use crate::classify::labels::{LabelTables, Labels};
 use crate::classify::{Classification, Encodings, Purpose, TransferFunction};
+use crate::render::Cancel;
 use crate::render::shadow::Shadow;
-use crate::render::{Cancel, Scene};
 
 /// Share of the cache that is for tables, which are small beside encodings: half of it for those of labels.
 const TABLES_SHARE: u64 = 4;
@@ -284,14 +284,7 @@ impl ClassifiedCache {
         let labels = labels.map(|(labels, _, tables)| (Arc::clone(labels), Arc::clone(tables)));
         let job = move |_: &Cancel| {
             let labels = labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.volume().scalars(), tables });
-            told.cast(&Scene {
-                prepared: volume.level(made_from.level),
-                transfer: &made_from.transfer,
-                classification: None,
-                encodings: None,
-                labels,
-                shadow: None,
-            })
+            told.cast(volume.level(made_from.level), &made_from.transfer, labels)
         };
         let made =
             self.shadows.try_get_with(key, async move { ticket.run(job).await.map(|(shadow, _)| Arc::new(shadow)) });

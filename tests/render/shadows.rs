@@ -28,7 +28,7 @@ const LIGHTS: [[f64; 3]; 9] = [
 ];
 
 fn cast(scene: &Prepared, towards: [f64; 3]) -> Shadow {
-    Shadow::cast(&scene.scene(Algorithm::Raycast, false), towards.into(), &Clip::default(), &[])
+    Shadow::cast(&scene.prepared, &scene.transfer, None, towards.into(), &Clip::default(), &[])
 }
 
 fn with_light(settings: Settings, towards: [f64; 3], shadows: bool) -> Settings {
@@ -179,7 +179,7 @@ fn what_is_cut_away_casts_none() {
     let scene = Prepared::new(volume, transfer(&[(0.0, 0.0), (50.0, 0.0), (51.0, 0.5)]), 0.0);
     let centre = scene.prepared.volume().centre();
     let lacking = |clip: &Clip, holes: &[Clip]| {
-        let shadow = Shadow::cast(&scene.scene(Algorithm::Raycast, false), DVec3::Z, clip, holes);
+        let shadow = Shadow::cast(&scene.prepared, &scene.transfer, None, DVec3::Z, clip, holes);
         let at = |x: usize| shadow.lacking()[(13 * 40 + 20) * 40 + x];
         [at(8), at(20), at(32)]
     };
@@ -205,15 +205,8 @@ fn labels_that_are_not_visible_cast_none() {
     let gone = LabelLook { label: 1, transfer: transfer(&[(0.0, 0.0)]) };
     let tables = LabelTables::new(&volume, &labels, &[gone], &medium, 0.0);
     let prepared = PreparedVolume::build(volume);
-    let scene = Scene {
-        prepared: &prepared,
-        transfer: &medium,
-        classification: None,
-        encodings: None,
-        labels: Some(Labels { voxels: labels.scalars(), tables: &tables }),
-        shadow: None,
-    };
-    let shadow = Shadow::cast(&scene, DVec3::Z, &Clip::default(), &[]);
+    let labels = Labels { voxels: labels.scalars(), tables: &tables };
+    let shadow = Shadow::cast(&prepared, &medium, Some(labels), DVec3::Z, &Clip::default(), &[]);
     let at = |x: usize| shadow.lacking()[(10 * 32 + 16) * 32 + x];
     assert!(at(8) == 0 && at(24) > 200, "{} {}", at(8), at(24));
 }

@@ -13,9 +13,9 @@ use crate::render::view::{Ball, Clip, HalfSpace};
 /// Voxels by which rounding may be off.
 const MARGIN: f64 = 1e-9;
 
-/// Where a block is.
+/// Where something is, as seen from what may hold it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Meeting {
+pub enum Meeting {
     Inside,
     Outside,
     /// Perhaps both.
@@ -62,10 +62,11 @@ impl Convex {
         let mut whole = [f64::NEG_INFINITY, f64::INFINITY];
         for (n, &(j, k)) in rows.iter().enumerate() {
             let [low, high] = self.stretch(j, k);
-            whole = if low > high { [1.0, 0.0] } else { [whole[0].max(u(n, low)), whole[1].min(u(n, high))] };
             if low > high {
+                whole = [1.0, 0.0];
                 break;
             }
+            whole = [whole[0].max(u(n, low)), whole[1].min(u(n, high))];
         }
         // What lies between the slices may reach further than on either, or lie between them altogether. A ray that passes a
         // half-space there passes it on one of the two.
@@ -86,7 +87,7 @@ impl Convex {
         })
     }
 
-    /// Where it is seen from a block of voxel coordinates.
+    /// Where a block of voxel coordinates is.
     #[inline(always)]
     pub fn meets(&self, block: [DVec3; 2]) -> Meeting {
         let at = |half: &HalfSpace| {

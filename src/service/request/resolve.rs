@@ -11,6 +11,7 @@ use super::fields::WindowFields;
 use super::{
     AlgorithmChoice, GeometryRequest, InvalidField, RegionRequest, RenderRequest, RequestError, ShadingChoice, Transfer,
 };
+use crate::classify::labels::Labels;
 use crate::classify::presets::{self, FittedPresets};
 use crate::classify::{Purpose, TransferFunction};
 use crate::encode::Format;
@@ -21,7 +22,7 @@ use crate::render::{
     self, Algorithm, Background, Blend, BufferSlice, Cancel, Clip, Image, Preintegration, Quality, RenderError, Scene,
     Settings, Shading, Stage, Timings, View, Window,
 };
-use crate::volume::{Volume, pyramid};
+use crate::volume::{PreparedVolume, Volume, pyramid};
 pub use labels::ResolvedLabels;
 
 /// Half of what shows in one voxel on an 8-bit display.
@@ -77,9 +78,9 @@ pub struct ResolvedShadows {
 }
 
 impl ResolvedShadows {
-    /// The shadows that `scene` casts on itself, made on the current rayon pool.
-    pub fn cast(&self, scene: &Scene<'_>) -> Shadow {
-        Shadow::cast(scene, self.towards, &self.clip, &self.holes)
+    /// The shadows that a volume casts on itself, made on the current rayon pool; see [`Shadow::cast`].
+    pub fn cast(&self, prepared: &PreparedVolume, transfer: &TransferFunction, labels: Option<Labels<'_>>) -> Shadow {
+        Shadow::cast(prepared, transfer, labels, self.towards, &self.clip, &self.holes)
     }
 }
 
