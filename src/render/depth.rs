@@ -357,8 +357,8 @@ impl<'a> InverseWarp<'a> {
         })
     }
 
-    /// Whether what ends the rays is torn among the pixels from (u, v) to (u + 1, v + 1), both on the image. What lies beyond the volume is not told
-    /// apart.
+    /// Whether what ends the rays is torn among the pixels from (u, v) to (u + 1, v + 1), both on the image. What lies beyond the
+    /// volume is not told apart.
     pub fn is_torn(&self, u: usize, v: usize) -> bool {
         let [width, height] = self.factorization.size;
         let [a, b] = [0, 1].map(|du| self.within_volume(self.end(u + du, v)));

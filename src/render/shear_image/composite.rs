@@ -172,10 +172,10 @@ struct State {
 /// asked for in vain.
 const STALE_LIGHT: f32 = 0.5 / 255.0;
 
-/// Where slabs have their middles: all of them a fraction of the way through a layer, or each where its ray is cut.
+/// Where slabs have their middles: all of them within a layer, or each where its ray is cut.
 #[derive(Clone, Copy)]
 enum Middles<'a> {
-    Slice { layer: f32, fraction: f32 },
+    Slice { t: f32, fraction: f32 },
     Rays(&'a Lanes),
 }
 
@@ -183,7 +183,7 @@ impl Middles<'_> {
     #[inline(always)]
     fn of(&self, lane: usize) -> f32 {
         match *self {
-            Self::Slice { layer, fraction } => layer + fraction,
+            Self::Slice { t, .. } => t,
             Self::Rays(middles) => middles[lane],
         }
     }
@@ -394,7 +394,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         for lane in 0..LANES {
             slabs[lane] = self.table.slab(state.front[lane], back[lane]);
         }
-        let middles = Middles::Slice { layer: 0.5 * (from + to) - fraction, fraction };
+        let middles = Middles::Slice { t: 0.5 * (from + to), fraction };
         self.blend(packet, state, patch, middles, &slabs, &[1.0; LANES]);
     }
 
@@ -507,9 +507,9 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         let [i, j] = IN_SLICE[packet.axis];
         let columns = [self.walk.gradient.col(i), self.walk.gradient.col(j), self.walk.gradient.col(packet.axis)];
         match middles {
-            Middles::Slice { layer, fraction } => {
+            Middles::Slice { t, fraction } => {
                 patch.differentiate(fraction);
-                let places: Places = patch.places(packet, &state.cells, layer + fraction);
+                let places: Places = patch.places(packet, &state.cells, t);
                 let sign = if packet.reversed { -1.0 } else { 1.0 };
                 world([columns[0], columns[1], columns[2] * sign], &patch.gradients(&places))
             }
