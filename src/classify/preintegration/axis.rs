@@ -26,6 +26,7 @@ use glam::DVec4;
 
 use super::fixed::{cell, split};
 use super::medium::Medium;
+use crate::simd::wide::{Cells, LANES, Lanes, Wide};
 
 /// Scalar codes -> positions on a table's axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,6 +89,21 @@ impl SlabAxis {
         // Always there: codes are those of the volume.
         let Some(ends) = self.knots.get(knot..knot + 2) else { return 0.0 };
         ends[0] + (ends[1] - ends[0]) * share
+    }
+
+    /// Positions of eight codes.
+    #[inline(always)]
+    pub fn coordinates<W: Wide>(&self, codes: &Lanes) -> Lanes {
+        let mut at = *codes;
+        for at in &mut at {
+            *at = (*at - self.first_code) * self.knots_per_code;
+        }
+        if self.knots.is_empty() {
+            return W::at_least(&at, 0.0);
+        }
+        let everywhere = Cells { low: 0.0, high: f32::INFINITY, origin: 0.0, last: f32::INFINITY };
+        let [knots, shares] = W::cells(&at, &everywhere);
+        W::linear(&self.knots, &W::indices(&[0.0; LANES], &knots, 0.0), &shares)
     }
 
     /// Entries along the axis.

@@ -4,10 +4,7 @@
 //! vectorized. Adding a number so large that only the wanted bits are left below it does the same
 //! by one addition.
 
-/// Added to a position, rounds it to 2^-10 and leaves it as an integer in the lowest bits: between
-/// 2^13 and 2^14 neighbouring floats are 2^-10 apart.
-const FIXED: f32 = 12288.0;
-const FRACTION_BITS: u32 = 10;
+use crate::simd::wide;
 
 /// Added to a number, rounds it to an integer, tie to even, and leaves that in the lowest bits.
 const INTEGER: f32 = 12_582_912.0;
@@ -18,9 +15,8 @@ const INTEGER: f32 = 12_582_912.0;
 /// voxels, so that between voxels of one code nothing but that code's entry is read.
 #[inline(always)]
 pub fn split(position: f32) -> (usize, f32) {
-    let fixed = (position + FIXED).to_bits().wrapping_sub(FIXED.to_bits());
-    let fraction = fixed & ((1 << FRACTION_BITS) - 1);
-    ((fixed >> FRACTION_BITS) as usize, fraction as i32 as f32 * (1.0 / (1 << FRACTION_BITS) as f32))
+    let (entry, fraction) = wide::split(position);
+    (entry as usize, fraction)
 }
 
 /// The entry nearest to a position from 0 on.

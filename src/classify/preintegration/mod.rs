@@ -29,6 +29,7 @@ use std::sync::Arc;
 use glam::Vec4;
 
 use super::transfer::TransferFunction;
+use crate::simd::wide::{LANES, Lanes, Wide, rows};
 use crate::volume::Volume;
 pub use axis::SlabAxis;
 use kept::{KEPT, Kept};
@@ -56,17 +57,28 @@ pub trait Slabs: Copy + Send + Sync {
     /// Position of a (fractional) code on the axis of the table.
     fn coordinate(self, code: f32) -> f32;
 
-    /// Positions of several codes: faster than one by one.
-    #[inline(always)]
-    fn coordinates<const N: usize>(self, mut codes: [f32; N]) -> [f32; N] {
-        for code in &mut codes {
-            *code = self.coordinate(*code);
-        }
-        codes
-    }
-
     /// The slab between two positions.
     fn slab(self, front: f32, back: f32) -> Vec4;
+
+    /// Positions of eight codes.
+    #[inline(always)]
+    fn coordinates<W: Wide>(self, codes: &Lanes) -> Lanes {
+        let mut positions = *codes;
+        for position in &mut positions {
+            *position = self.coordinate(*position);
+        }
+        positions
+    }
+
+    /// Eight slabs, by component.
+    #[inline(always)]
+    fn slabs<W: Wide>(self, front: &Lanes, back: &Lanes) -> [Lanes; 4] {
+        let mut slabs = [Vec4::ZERO; LANES];
+        for lane in 0..LANES {
+            slabs[lane] = self.slab(front[lane], back[lane]);
+        }
+        rows(&slabs)
+    }
 }
 
 /// What a table's entries hold.

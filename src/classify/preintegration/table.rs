@@ -17,6 +17,7 @@ use rayon::prelude::*;
 use super::fixed::{nearest, split};
 use super::ranges::Ranges;
 use super::{Form, SlabAxis, Slabs};
+use crate::simd::wide::{Lanes, Wide};
 
 /// A table of slabs of one length.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,6 +88,13 @@ impl SlabTable {
         let far = far[0] + (far[1] - far[0]) * wb;
         near + (far - near) * wf
     }
+
+    /// The same of eight, by component.
+    #[inline(always)]
+    fn bilinear_lanes<W: Wide>(&self, front: &Lanes, back: &Lanes) -> [Lanes; 4] {
+        let (at, [wf, wb]) = W::entries([front, back], self.stride);
+        W::bilinear_vectors(&self.slabs, self.stride as usize, &at, [&wb, &wf])
+    }
 }
 
 /// The nearest entry.
@@ -118,5 +126,15 @@ impl Slabs for Bilinear<'_> {
     #[inline(always)]
     fn slab(self, front: f32, back: f32) -> Vec4 {
         self.0.bilinear(front, back)
+    }
+
+    #[inline(always)]
+    fn coordinates<W: Wide>(self, codes: &Lanes) -> Lanes {
+        self.0.axis.coordinates::<W>(codes)
+    }
+
+    #[inline(always)]
+    fn slabs<W: Wide>(self, front: &Lanes, back: &Lanes) -> [Lanes; 4] {
+        self.0.bilinear_lanes::<W>(front, back)
     }
 }

@@ -4,6 +4,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::classify::transfer::extinction;
 use crate::classify::{Color, ControlPoint};
+use crate::simd::wide::Portable;
 use crate::volume::phantom;
 
 /// A volume that has all codes from `low` to `high`, spacing 1 mm.
@@ -146,9 +147,13 @@ proptest! {
 }
 
 fn read(table: impl Slabs, front: f32, back: f32) -> Vec4 {
-    let [front_at, back_at] = table.coordinates([front, back]);
-    assert_eq!([front_at, back_at], [table.coordinate(front), table.coordinate(back)]);
-    table.slab(front_at, back_at)
+    let [front_at, back_at] = [front, back].map(|code| table.coordinate(code));
+    let slab = table.slab(front_at, back_at);
+    // The same of eight at once.
+    let [fronts, backs] = [front, back].map(|code| table.coordinates::<Portable>(&[code; LANES]));
+    assert_eq!([fronts, backs], [[front_at; LANES], [back_at; LANES]]);
+    assert_eq!(table.slabs::<Portable>(&fronts, &backs), slab.to_array().map(|component| [component; LANES]));
+    slab
 }
 
 /// Control points moved apart.

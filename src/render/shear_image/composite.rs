@@ -11,15 +11,16 @@ use std::time::Instant;
 
 use glam::{Mat3, Vec3, Vec4};
 
-use super::packet::{IN_SLICE, LANES, Lanes, Packet};
-use super::patch::{self, Cells, Patch, Places, Slice};
+use super::packet::{IN_SLICE, Packet};
+use super::patch::{Cells, Patch, Slice};
 use super::sampler::Sampler;
 use super::skip::Skip;
-use super::{Frame, Pixels, least};
+use super::{Frame, Pixels};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::lighting::Lighting;
 use crate::render::{DepthCueing, Lookup, OpacityCorrection, RenderError, Scene, SlabTable, Timings};
+use crate::simd::wide::{LANES, Lanes, Wide, least, rows};
 use crate::volume::gradient::{Code, GradientFrame};
 use crate::volume::scanlines::Scanlines;
 
@@ -155,9 +156,10 @@ struct State {
     since: Lanes,
     /// Something showed in this layer.
     shows: bool,
-    /// Positions on the table's axis at the end of the last slab.
+    /// Positions on the table's axis where the last slab began, and where it ended.
     front: Lanes,
-    /// The layer that `front` is in front of.
+    back: Lanes,
+    /// The layer that it ended at.
     reached: usize,
     /// The next layer in which something may show, if there is one.
     next: Option<usize>,
@@ -226,15 +228,15 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composit
     type Buffers = Buffers;
 
     #[inline(always)]
-    fn pixels(&self, tile: &[Packet], buffers: &mut Buffers, out: &mut [[Vec4; LANES]]) {
+    fn pixels<W: Wide>(&self, tile: &[Packet], buffers: &mut Buffers, out: &mut [[Vec4; LANES]]) {
         let mut rows = tile.len();
         while rows > 1 && self.cells(&tile[..rows]) > TILE_CELLS {
             rows = rows.div_ceil(2);
         }
         for (packets, out) in tile.chunks(rows.max(1)).zip(out.chunks_mut(rows.max(1))) {
-            self.tile(packets, buffers);
+            self.tile::<W>(packets, buffers);
             for (state, out) in buffers.states.iter().zip(out) {
-                *out = patch::columns(&state.pixels);
+                *out = W::columns(&state.pixels);
             }
         }
     }
@@ -275,6 +277,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             since: [f32::INFINITY; LANES],
             shows: false,
             front: [0.0; LANES],
+            back: [0.0; LANES],
             reached: usize::MAX,
             next: None,
             end,
@@ -304,7 +307,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
 
     /// Takes the packets of a tile through the volume.
     #[inline(always)]
-    fn tile(&self, packets: &[Packet], Buffers { patch, states }: &mut Buffers) {
+    fn tile<W: Wide>(&self, packets: &[Packet], Buffers { patch, states }: &mut Buffers) {
         let Walk { scanlines, steps, .. } = self.walk;
         let dims = self.walk.sampler.dims();
         states.clear();
@@ -339,21 +342,29 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                 let from = layer as f32 + (n - 1) as f32 * step;
                 let to = layer as f32 + n as f32 * step;
                 let fraction = (n as f32 - 0.5) * step;
+                // First what all packets sample: their steps do not wait for each other.
                 for (packet, state) in packets.iter().zip(states.iter_mut()) {
                     if state.next != Some(layer) {
                         continue;
                     }
                     if n == 1 {
                         state.shows = false;
+                        if state.reached == layer {
+                            state.front = state.back;
+                        } else {
+                            let places = patch.places::<W>(packet, &state.cells, layer as f32);
+                            state.front = self.table.coordinates::<W>(&patch.scalars::<W>(Slice::Near, &places));
+                        }
+                    } else {
+                        state.front = state.back;
                     }
-                    if n == 1 && state.reached != layer {
-                        let places = patch.places(packet, &state.cells, layer as f32);
-                        state.front = self.table.coordinates(patch.scalars(Slice::Near, &places));
+                    let places = patch.places::<W>(packet, &state.cells, to);
+                    state.back = self.table.coordinates::<W>(&patch.scalars::<W>(back, &places));
+                }
+                for (packet, state) in packets.iter().zip(states.iter_mut()) {
+                    if state.next == Some(layer) {
+                        self.slabs::<W>(packet, state, patch, [from, to], fraction);
                     }
-                    let places = patch.places(packet, &state.cells, to);
-                    let back = self.table.coordinates(patch.scalars(back, &places));
-                    self.slabs(packet, state, patch, [from, to], fraction, &back);
-                    state.front = back;
                 }
             }
             for (packet, state) in packets.iter().zip(states.iter_mut()) {
@@ -377,30 +388,26 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
     /// The slabs of all lanes between two slice positions of a layer, with their middles a `fraction` of
     /// the way through it.
     #[inline(always)]
-    fn slabs(
+    fn slabs<W: Wide>(
         &self,
         packet: &Packet,
         state: &mut State,
         patch: &mut Patch,
         [from, to]: [f32; 2],
         fraction: f32,
-        back: &Lanes,
     ) {
         if from < state.inside.0 || to > state.inside.1 {
-            self.ends(packet, state, patch, [from, to], back);
+            self.ends::<W>(packet, state, patch, [from, to]);
             return;
         }
-        let mut slabs = [Vec4::ZERO; LANES];
-        for lane in 0..LANES {
-            slabs[lane] = self.table.slab(state.front[lane], back[lane]);
-        }
         let middles = Middles::Slice { t: 0.5 * (from + to), fraction };
-        self.blend(packet, state, patch, middles, &slabs, &[1.0; LANES]);
+        let slabs = self.table.slabs::<W>(&state.front, &state.back);
+        self.blend::<W>(packet, state, patch, middles, slabs, &[1.0; LANES]);
     }
 
     /// Slabs some of which are cut by an end of their ray.
     #[inline(never)]
-    fn ends(&self, packet: &Packet, state: &mut State, patch: &mut Patch, [from, to]: [f32; 2], back: &Lanes) {
+    fn ends<W: Wide>(&self, packet: &Packet, state: &mut State, patch: &mut Patch, [from, to]: [f32; 2]) {
         let mut slabs = [Vec4::ZERO; LANES];
         let (mut middles, mut shares) = ([from; LANES], [1.0; LANES]);
         for lane in 0..LANES {
@@ -417,25 +424,24 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                 }
             };
             slabs[lane] =
-                self.table.slab(coordinate(enter, from, state.front[lane]), coordinate(leave, to, back[lane]));
+                self.table.slab(coordinate(enter, from, state.front[lane]), coordinate(leave, to, state.back[lane]));
             middles[lane] = 0.5 * (enter + leave);
             shares[lane] = (leave - enter) / (to - from);
         }
-        self.blend(packet, state, patch, Middles::Rays(&middles), &slabs, &shares);
+        self.blend::<W>(packet, state, patch, Middles::Rays(&middles), rows(&slabs), &shares);
     }
 
-    /// Puts slabs behind their lanes' pixels; `shares` are their lengths in the table's.
+    /// Puts slabs, by component, behind their lanes' pixels; `shares` are their lengths in the table's.
     #[inline(always)]
-    fn blend(
+    fn blend<W: Wide>(
         &self,
         packet: &Packet,
         state: &mut State,
         patch: &mut Patch,
         middles: Middles<'_>,
-        slabs: &[Vec4; LANES],
+        [mut red, mut green, mut blue, mut opacity]: [Lanes; 4],
         shares: &Lanes,
     ) {
-        let [mut red, mut green, mut blue, mut opacity] = patch::rows(slabs);
         // Does any lane show something?
         let mut shown = [0.0; LANES];
         for lane in 0..LANES {
@@ -448,7 +454,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
         let by_gradient = SCALED && self.walk.gradient_opacity.is_some();
         let unlit = if LIT && !by_gradient { state.unlit(&opacity) } else { [1.0; LANES] };
         let asked = (LIT || by_gradient) && any(&unlit);
-        let gradients = if asked { self.gradients(packet, state, patch, middles) } else { [[0.0; LANES]; 3] };
+        let gradients = if asked { self.gradients::<W>(packet, state, patch, middles) } else { [[0.0; LANES]; 3] };
         let ratios = self.scale(state, &gradients, &mut opacity, shares);
         if SCALED || matches!(middles, Middles::Rays(_)) {
             for lane in 0..LANES {
@@ -463,9 +469,8 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                 if let Some((in_shadow, lacking)) = &self.walk.shadow {
                     darken(&mut light, &in_shadow.shade(&gradients, &packet.to_eye), lacking, packet, middles);
                 }
-                for lane in 0..LANES {
-                    state.light[0][lane] = if unlit[lane] > 0.0 { light[0][lane] } else { state.light[0][lane] };
-                    state.light[1][lane] = if unlit[lane] > 0.0 { light[1][lane] } else { state.light[1][lane] };
+                for (kept, light) in state.light.iter_mut().zip(&light) {
+                    *kept = W::choose(&unlit, light, kept);
                 }
             }
             for channel in [&mut red, &mut green, &mut blue] {
@@ -496,22 +501,26 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                 pixels[lane] += slabs[lane] * seen[lane];
             }
         }
-        for lane in 0..LANES {
-            state.open[lane] = if state.pixels[3][lane] >= self.walk.opaque { 0.0 } else { state.open[lane] };
-        }
+        state.open = W::keep_below(&state.pixels[3], self.walk.opaque, &state.open);
     }
 
     /// World gradients, by component.
     #[inline(always)]
-    fn gradients(&self, packet: &Packet, state: &State, patch: &mut Patch, middles: Middles<'_>) -> [Lanes; 3] {
+    fn gradients<W: Wide>(
+        &self,
+        packet: &Packet,
+        state: &State,
+        patch: &mut Patch,
+        middles: Middles<'_>,
+    ) -> [Lanes; 3] {
         let [i, j] = IN_SLICE[packet.axis];
         let columns = [self.walk.gradient.col(i), self.walk.gradient.col(j), self.walk.gradient.col(packet.axis)];
         match middles {
             Middles::Slice { t, fraction } => {
-                patch.differentiate(fraction);
-                let places: Places = patch.places(packet, &state.cells, t);
+                patch.differentiate::<W>(fraction);
+                let places = patch.places::<W>(packet, &state.cells, t);
                 let sign = if packet.reversed { -1.0 } else { 1.0 };
-                world([columns[0], columns[1], columns[2] * sign], &patch.gradients(&places))
+                world([columns[0], columns[1], columns[2] * sign], &patch.gradients::<W>(&places))
             }
             Middles::Rays(middles) => {
                 let sampler = &self.walk.sampler;

@@ -36,25 +36,14 @@ use std::time::Instant;
 use glam::Vec4;
 use rayon::prelude::*;
 
+use super::simd::wide::{LANES, Portable, Wide};
 use super::simd::{self, Kernel};
 use super::{Cancel, RenderError, Scene, Settings, Timings, View};
 use crate::render::Blend;
 use crate::volume::Scalars;
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
-use packet::{IndexRays, LANES, Packet};
-
-/// The lesser of two numbers: one instruction, where [`f32::min`] has to look for what is no number.
-#[inline(always)]
-fn least(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
-}
-
-/// The greater of two.
-#[inline(always)]
-fn most(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
+use packet::{IndexRays, Packet};
 
 /// Rows that one job fills: packets below each other read the same voxels.
 const BAND_HEIGHT: usize = 8;
@@ -66,7 +55,7 @@ trait Pixels: Sync {
 
     /// Walks the slices with a tile of packets, which are of one part of the view and lie below each other.
     /// Implementations are `#[inline(always)]`.
-    fn pixels(&self, tile: &[Packet], buffers: &mut Self::Buffers, out: &mut [[Vec4; LANES]]);
+    fn pixels<W: Wide>(&self, tile: &[Packet], buffers: &mut Self::Buffers, out: &mut [[Vec4; LANES]]);
 }
 
 /// A frame in shear-image order: its rays' pixels, premultiplied.
@@ -145,6 +134,20 @@ impl<P: Pixels> Kernel for Band<'_, P> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
+        self.fill::<Portable>()
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) -> Self::Output {
+        self.fill::<simd::wide::Avx2>()
+    }
+}
+
+impl<P: Pixels> Band<'_, P> {
+    /// Fills it.
+    #[inline(always)]
+    fn fill<W: Wide>(self) -> Result<(), RenderError> {
         let (width, _) = self.frame.rays.size;
         let mut buffers = P::Buffers::default();
         let (mut rows, mut packets) = (Vec::with_capacity(BAND_HEIGHT), Vec::with_capacity(BAND_HEIGHT));
@@ -171,7 +174,7 @@ impl<P: Pixels> Kernel for Band<'_, P> {
                     }
                 }
                 let mut pixels = [[Vec4::ZERO; LANES]; BAND_HEIGHT];
-                self.pixels.pixels(&packets, &mut buffers, &mut pixels[..packets.len()]);
+                self.pixels.pixels::<W>(&packets, &mut buffers, &mut pixels[..packets.len()]);
                 for ((packet, row), pixels) in packets.iter().zip(&rows).zip(&pixels) {
                     let (first, last) = packet.lanes;
                     self.out[row * width + x..][first..=last].copy_from_slice(&pixels[first..=last]);

@@ -1,4 +1,4 @@
-//! Rays in index space, eight pixels of a row at a time.
+//! Rays in index space, eight pixels of a row at a time: the lanes of a 256-bit register.
 //!
 //! A ray is told by where it meets the slices: along the principal axis it advances by one index a
 //! slice, along the other two by its slopes. Slices are counted in the order in which the rays meet
@@ -9,17 +9,11 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat4, DVec3};
 
-use super::{least, most};
 use crate::render::depth::SceneDepth;
 use crate::render::regions::Layer;
 use crate::render::view::{Clip, HalfSpace, Rays, View, cut};
+use crate::simd::wide::{LANES, Lanes, least, most};
 use crate::volume::Volume;
-
-/// Pixels of a packet: the lanes of a 256-bit register.
-pub const LANES: usize = 8;
-
-/// A number for each lane.
-pub type Lanes = [f32; LANES];
 
 /// The volume's axes that `i, j` stand for, by principal axis: as the runs are stored.
 pub const IN_SLICE: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];

@@ -10,15 +10,13 @@
 //! differences of an interpolated slice the interpolated central differences of the optical
 //! model. All of it stays in the first-level cache.
 
-use glam::{Mat4, Vec4};
+use glam::Vec4;
 
-use super::packet::{IN_SLICE, LANES, Lanes, Packet};
-use super::{least, most};
+use super::packet::{IN_SLICE, Packet};
+use crate::simd::prefetch;
+use crate::simd::wide::{self, Indices, LANES, Lanes, Wide};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::Scanlines;
-
-/// Added to a number of 0 to 2^22, rounds it to an integer, tie to even, and leaves that in the lowest bits.
-const INTEGER: f32 = 8_388_608.0;
 
 /// Cells of one layer, by their first and last along `i` and `j`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,7 +55,7 @@ impl Cells {
 /// Where a packet's rays meet a slice of a patch: the first of four voxels, and fractions.
 #[derive(Clone, Copy, Debug)]
 pub struct Places {
-    index: [u32; LANES],
+    index: Indices,
     fractions: [Lanes; 2],
 }
 
@@ -129,6 +127,15 @@ impl Patch {
                 }
             }
         }
+        // Three of the four slices are the next layer's as well; here is the other one.
+        let k = t + 3;
+        if k < nk {
+            let k = if reversed { nk - 1 - k } else { k };
+            for row in 0..self.rows {
+                let j = (cells.first[1] + row).saturating_sub(1).min(nj - 1);
+                prefetch(&scanlines.row(j, k)[cells.first[0]..=cells.last[0]]);
+            }
+        }
     }
 
     /// Makes the slice `fraction` of the way from the near one to the far one.
@@ -140,7 +147,7 @@ impl Patch {
 
     /// Makes the differences of the slice `fraction` of the way.
     #[inline(always)]
-    pub fn differentiate(&mut self, fraction: f32) {
+    pub fn differentiate<W: Wide>(&mut self, fraction: f32) {
         if self.differentiated == Some(fraction) {
             return;
         }
@@ -166,89 +173,59 @@ impl Patch {
                 differences[2][lane] = front + (back - front) * fraction;
             }
             let [x, y, z] = differences;
-            let out = &mut self.gradients[n..n + LANES];
-            let voxels = columns(&[x, y, z, [0.0; LANES]]);
-            out.copy_from_slice(&voxels);
+            self.gradients[n..n + LANES].copy_from_slice(&W::columns(&[x, y, z, [0.0; LANES]]));
         }
     }
 
     /// Where the packet meets the slice at slice position `t` of the layer that touches `cells`.
     #[inline(always)]
-    pub fn places(&self, packet: &Packet, cells: &Cells, t: f32) -> Places {
-        let (mut whole, mut fractions) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
-        for n in 0..2 {
-            let origin = self.first[n] as f32;
-            let (low, high) = (cells.first[n] as f32, (cells.last[n] + 1) as f32);
-            let last = (cells.last[n] - self.first[n]) as f32;
-            let at = packet.at(n, t);
-            for lane in 0..LANES {
-                // Rounding may leave a ray a hair outside of the cells.
-                let at = least(most(at[lane], low), high) - origin;
-                let cell = least((most(at - 0.5, 0.0) + INTEGER) - INTEGER, last);
-                whole[n][lane] = cell;
-                fractions[n][lane] = at - cell;
-            }
+    pub fn places<W: Wide>(&self, packet: &Packet, cells: &Cells, t: f32) -> Places {
+        let (columns, rows) = (self.within(cells, 0), self.within(cells, 1));
+        let [column, along] = W::cells(&packet.at(0, t), &columns);
+        let [row, across] = W::cells(&packet.at(1, t), &rows);
+        Places { index: W::indices(&row, &column, number(self.stride)), fractions: [along, across] }
+    }
+
+    /// The cells that a packet touches along `i` (0) or `j` (1), as places are told. Rounding may leave a ray a hair outside.
+    #[inline(always)]
+    fn within(&self, cells: &Cells, n: usize) -> wide::Cells {
+        wide::Cells {
+            low: number(cells.first[n]),
+            high: number(cells.last[n] + 1),
+            origin: number(self.first[n]),
+            last: number(cells.last[n] - self.first[n]),
         }
-        let stride = self.stride as f32;
-        let mut index = [0; LANES];
-        for lane in 0..LANES {
-            let at = (whole[1][lane] * stride + whole[0][lane]) + INTEGER;
-            index[lane] = at.to_bits() & 0x7f_ffff;
-        }
-        Places { index, fractions }
     }
 
     /// Scalars where a packet meets a slice.
     #[inline(always)]
-    pub fn scalars(&self, slice: Slice, places: &Places) -> Lanes {
+    pub fn scalars<W: Wide>(&self, slice: Slice, places: &Places) -> Lanes {
         let slice: &[f32] = match slice {
             Slice::Near => &self.slices[1],
             Slice::Between => &self.between,
             Slice::Far => &self.slices[2],
         };
-        let mut voxels = [[0.0; LANES]; 4];
-        for lane in 0..LANES {
-            // The first cell's first voxel has one before it along either axis.
-            let upper = places.index[lane] as usize + self.stride + 1;
-            let lower = upper + self.stride;
-            // Always there: places are within the patch.
-            if lower + 1 >= slice.len() {
-                return [0.0; LANES];
-            }
-            [voxels[0][lane], voxels[1][lane]] = [slice[upper], slice[upper + 1]];
-            [voxels[2][lane], voxels[3][lane]] = [slice[lower], slice[lower + 1]];
-        }
-        let mut scalars = [0.0; LANES];
-        for lane in 0..LANES {
-            let [fi, fj] = [places.fractions[0][lane], places.fractions[1][lane]];
-            let near = voxels[0][lane] + (voxels[1][lane] - voxels[0][lane]) * fi;
-            let far = voxels[2][lane] + (voxels[3][lane] - voxels[2][lane]) * fi;
-            scalars[lane] = near + (far - near) * fj;
-        }
-        scalars
+        let [along, across] = &places.fractions;
+        // The first cell's first voxel has one before it along either axis.
+        let Some(voxels) = slice.get(self.stride + 1..) else { return [0.0; LANES] };
+        W::bilinear(voxels, self.stride, &places.index, [along, across])
     }
 
     /// Twice the central differences along `i`, `j` and the order of travel where a packet meets the slice
     /// that was [differentiated](Self::differentiate).
     #[inline(always)]
-    pub fn gradients(&self, places: &Places) -> [Lanes; 3] {
-        let mut gradients = [Vec4::ZERO; LANES];
-        for lane in 0..LANES {
-            let upper = places.index[lane] as usize + self.stride;
-            let lower = upper + self.stride;
-            if lower + 1 >= self.gradients.len() {
-                return [[0.0; LANES]; 3];
-            }
-            let [fi, fj] = [places.fractions[0][lane], places.fractions[1][lane]];
-            let (a, b) = (self.gradients[upper], self.gradients[upper + 1]);
-            let (c, d) = (self.gradients[lower], self.gradients[lower + 1]);
-            let near = a + (b - a) * fi;
-            let far = c + (d - c) * fi;
-            gradients[lane] = near + (far - near) * fj;
-        }
-        let [x, y, z, _] = rows(&gradients);
+    pub fn gradients<W: Wide>(&self, places: &Places) -> [Lanes; 3] {
+        let [along, across] = &places.fractions;
+        let Some(gradients) = self.gradients.get(self.stride..) else { return [[0.0; LANES]; 3] };
+        let [x, y, z, _] = W::bilinear_vectors(gradients, self.stride, &places.index, [along, across]);
         [x, y, z]
     }
+}
+
+/// A count, which is small.
+#[inline(always)]
+fn number(count: usize) -> f32 {
+    count as u32 as f32
 }
 
 /// `length` numbers a `fraction` of the way, in the first of `out`.
@@ -278,38 +255,11 @@ fn lanes(slice: &[f32], from: usize) -> Lanes {
 #[inline(always)]
 fn convert<T: Code>(codes: &[T], out: &mut [f32]) {
     for (out, codes) in out.as_chunks_mut::<LANES>().0.iter_mut().zip(codes.as_chunks::<LANES>().0) {
+        // Written at once: one by one, each might be a code that is still to be read.
+        let mut numbers = [0.0; LANES];
         for lane in 0..LANES {
-            out[lane] = codes[lane].as_f32();
+            numbers[lane] = codes[lane].as_f32();
         }
+        *out = numbers;
     }
-}
-
-/// By component -> by lane.
-#[inline(always)]
-pub fn columns(rows: &[Lanes; 4]) -> [Vec4; LANES] {
-    let mut columns = [Vec4::ZERO; LANES];
-    for half in 0..2 {
-        let four = |row: &Lanes| Vec4::new(row[4 * half], row[4 * half + 1], row[4 * half + 2], row[4 * half + 3]);
-        let turned = Mat4::from_cols(four(&rows[0]), four(&rows[1]), four(&rows[2]), four(&rows[3])).transpose();
-        columns[4 * half] = turned.x_axis;
-        columns[4 * half + 1] = turned.y_axis;
-        columns[4 * half + 2] = turned.z_axis;
-        columns[4 * half + 3] = turned.w_axis;
-    }
-    columns
-}
-
-/// By lane -> by component.
-#[inline(always)]
-pub fn rows(columns: &[Vec4; LANES]) -> [Lanes; 4] {
-    let mut rows = [[0.0; LANES]; 4];
-    for half in 0..2 {
-        let [a, b, c, d] = [0, 1, 2, 3].map(|n| columns[4 * half + n]);
-        let turned = Mat4::from_cols(a, b, c, d).transpose();
-        let turned = [turned.x_axis, turned.y_axis, turned.z_axis, turned.w_axis];
-        for n in 0..4 {
-            rows[n][4 * half..4 * half + 4].copy_from_slice(&turned[n].to_array());
-        }
-    }
-    rows
 }

@@ -7,11 +7,12 @@
 
 use glam::Vec4;
 
-use super::packet::{LANES, Lanes, Packet};
+use super::packet::Packet;
 use super::sampler::Sampler;
 use super::skip::Skip;
 use super::{Frame, Pixels};
 use crate::render::{IntensityProjection, RenderError, Scene, Timings, Window};
+use crate::simd::wide::{LANES, Lanes, Wide};
 use crate::volume::gradient::Code;
 use crate::volume::octree::{MinMaxOctree, Range};
 
@@ -166,7 +167,7 @@ impl<T: Code, R: Reduce> Pixels for Project<'_, T, R> {
     type Buffers = ();
 
     #[inline(always)]
-    fn pixels(&self, tile: &[Packet], (): &mut (), out: &mut [[Vec4; LANES]]) {
+    fn pixels<W: Wide>(&self, tile: &[Packet], (): &mut (), out: &mut [[Vec4; LANES]]) {
         for (packet, out) in tile.iter().zip(out) {
             *out = self.packet(packet);
         }

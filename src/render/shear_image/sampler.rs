@@ -8,7 +8,8 @@
 
 use glam::{Vec3, Vec4};
 
-use super::packet::{IN_SLICE, LANES, Lanes, Packet};
+use super::packet::{IN_SLICE, Packet};
+use crate::simd::wide::{LANES, Lanes};
 use crate::volume::gradient::Code;
 
 /// A volume's codes, to be sampled.
