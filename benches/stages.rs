@@ -94,22 +94,16 @@ fn preintegration(criterion: &mut Criterion) {
         let code = |n: usize| (0.5 + 0.4 * (n as f64 * 0.01).sin() + 0.05 * (n as f64 * 0.37).sin()) * last;
         let codes: Vec<f32> = (0..4096).map(|n| code(n) as f32).collect();
         let (table, sums) = (fresh().table(Form::Opacity, 1.0), fresh().running_sums(Form::Opacity, 1.0));
-        criterion.bench_function(&name("slab/coordinates"), |b| b.iter(|| coordinates(Bilinear(&table), &codes)));
+        criterion.bench_function(&name("slab/coordinate"), |b| b.iter(|| coordinates(Bilinear(&table), &codes)));
         criterion.bench_function(&name("slab/2D nearest"), |b| b.iter(|| slabs(Nearest(&table), &codes)));
         criterion.bench_function(&name("slab/2D bilinear"), |b| b.iter(|| slabs(Bilinear(&table), &codes)));
         criterion.bench_function(&name("slab/1D"), |b| b.iter(|| slabs(OneDimensional(&sums), &codes)));
     }
 }
 
-/// Positions of all codes, eight at a time; summed up.
-fn coordinates(table: impl Slabs, codes: &[f32]) -> [f32; 8] {
-    let mut sums = [0.0; 8];
-    for codes in black_box(codes).as_chunks::<8>().0 {
-        for (sum, position) in sums.iter_mut().zip(table.coordinates(*codes)) {
-            *sum += position;
-        }
-    }
-    sums
+/// Positions of all codes, summed up.
+fn coordinates(table: impl Slabs, codes: &[f32]) -> f32 {
+    black_box(codes).iter().map(|&code| table.coordinate(code)).sum()
 }
 
 /// The slabs between each code and the next, summed up.
