@@ -21,6 +21,8 @@ pub struct Footprint {
     scale: f64,
     /// Half of what a pixel stands for, voxels.
     half: f64,
+    /// One over what it stands for.
+    per_width: f64,
     voxels: usize,
     taps: usize,
 }
@@ -30,7 +32,14 @@ impl Footprint {
     pub fn new(lattice: &Lattice, axis: usize, voxels: usize) -> Self {
         let width = lattice.scale.max(1.0);
         let taps = (width.ceil() as usize + 1).min(voxels);
-        Self { offset: lattice.offset[axis], scale: lattice.scale, half: width / 2.0, voxels, taps }
+        Self {
+            offset: lattice.offset[axis],
+            scale: lattice.scale,
+            half: width / 2.0,
+            per_width: 1.0 / width,
+            voxels,
+            taps,
+        }
     }
 
     /// Voxels under a pixel, those of weight 0 included: the same number for all.
@@ -52,9 +61,12 @@ impl Footprint {
     pub fn weight(&self, u: usize, i: usize) -> f32 {
         let centre = self.offset + self.scale * u as f64;
         let (low, high) = (centre - self.half, centre + self.half);
-        let begin = if i == 0 { low } else { low.max(i as f64 - 0.5) };
-        let end = if i + 1 == self.voxels { high } else { high.min(i as f64 + 0.5) };
-        ((end - begin).max(0.0) / (2.0 * self.half)) as f32
+        let (from, to) = (i as f64 - 0.5, i as f64 + 0.5);
+        // Nothing here is no number, which `f64::max` would look for.
+        let begin = if i == 0 || low > from { low } else { from };
+        let end = if i + 1 == self.voxels || high < to { high } else { to };
+        let under = if end > begin { end - begin } else { 0.0 };
+        (under * self.per_width) as f32
     }
 
     /// The pixels, of `count`, whose centres lie on the slice.

@@ -39,6 +39,8 @@ impl Columns {
         self.start = us.start;
         self.first.clear();
         self.weights.clear();
+        self.first.reserve(us.len());
+        self.weights.reserve(us.len() * self.taps);
         for u in us.clone() {
             let first = footprint.first(u);
             self.first.push(first as u32);

@@ -26,7 +26,7 @@ use crate::render::slab::opacity_ratio;
 use crate::render::{Cancel, RenderError};
 
 /// Where scanlines are is asked for so many slices before they are read.
-const FARTHER: usize = 8;
+pub(super) const FARTHER: usize = 8;
 
 /// What the bands of a frame share.
 #[derive(Debug)]
