@@ -464,15 +464,20 @@ impl Factorization {
     }
 
     /// [`Self::relative_length`] of all pixels of some scanlines.
+    #[inline(always)]
     pub fn relative_lengths(&self, vs: Range<usize>, lengths: &mut Vec<f32>) {
-        lengths.clear();
-        let pixels = vs.flat_map(|v| (0..self.size[0]).map(move |u| (u, v)));
-        lengths.extend(pixels.map(|(u, v)| self.relative_length(u, v)));
+        lengths.resize(vs.len() * self.size[0], 0.0);
+        for (v, lengths) in vs.zip(lengths.chunks_exact_mut(self.size[0])) {
+            for (u, length) in lengths.iter_mut().enumerate() {
+                *length = self.relative_length(u, v);
+            }
+        }
     }
 
     /// Length of the ray of pixel (u, v) between two slices, in units of [`Self::slice_distance`].
+    #[inline(always)]
     pub fn relative_length(&self, u: usize, v: usize) -> f32 {
-        ((self.ray * DVec3::new(u as f64, v as f64, 1.0)).length() / self.slice_distance) as f32
+        ((self.ray * DVec3::new(f64::from(u as u32), f64::from(v as u32), 1.0)).length() / self.slice_distance) as f32
     }
 }
 

@@ -51,7 +51,7 @@ impl Footprint {
     /// The first voxel under pixel `u`.
     #[inline(always)]
     pub fn first(&self, u: usize) -> usize {
-        let from = self.offset + self.scale * u as f64 - self.half;
+        let from = self.offset + self.scale * number(u) - self.half;
         // Truncation is floor: what is below 0 goes to 0 either way.
         ((from + 0.5) as usize).min(self.voxels - self.taps)
     }
@@ -59,9 +59,9 @@ impl Footprint {
     /// The weight of voxel `i` under pixel `u`.
     #[inline(always)]
     pub fn weight(&self, u: usize, i: usize) -> f32 {
-        let centre = self.offset + self.scale * u as f64;
+        let centre = self.offset + self.scale * number(u);
         let (low, high) = (centre - self.half, centre + self.half);
-        let (from, to) = (i as f64 - 0.5, i as f64 + 0.5);
+        let (from, to) = (number(i) - 0.5, number(i) + 0.5);
         // Nothing here is no number, which `f64::max` would look for.
         let begin = if i == 0 || low > from { low } else { from };
         let end = if i + 1 == self.voxels || high < to { high } else { to };
@@ -98,6 +98,12 @@ impl Footprint {
     pub fn under(&self, us: &Range<usize>) -> Range<usize> {
         self.first(us.start)..self.first(us.end - 1) + self.taps
     }
+}
+
+/// A count below 2^32: one instruction, where any count takes four.
+#[inline(always)]
+fn number(count: usize) -> f64 {
+    f64::from(count as u32)
 }
 
 #[cfg(test)]
