@@ -26,9 +26,9 @@ const MANTISSA: u32 = 0x7f_ffff;
 pub const FIXED: f32 = 12288.0;
 pub const FRACTION_BITS: u32 = 10;
 
-/// Cells along an axis, from which positions are told.
+/// Cells side by side, in which positions lie.
 #[derive(Clone, Copy, Debug)]
-pub struct Cells {
+pub struct CellRow {
     /// Positions are kept from `low` to `high`.
     pub low: f32,
     pub high: f32,
@@ -43,7 +43,7 @@ pub struct Cells {
 pub trait Wide {
     /// The cell of each position, and how far it is from its beginning to its end, 0..=1; of two cells that meet there,
     /// either.
-    fn cells(at: &Lanes, cells: &Cells) -> [Lanes; 2];
+    fn cells(at: &Lanes, row: &CellRow) -> [Lanes; 2];
 
     /// `row * stride + column`, of whole numbers below 2^22, as is what comes of them.
     fn indices(row: &Lanes, column: &Lanes, stride: f32) -> Indices;
@@ -113,7 +113,7 @@ pub fn rows(columns: &[Vec4; LANES]) -> [Lanes; 4] {
 
 impl Wide for Portable {
     #[inline(always)]
-    fn cells(at: &Lanes, &Cells { low, high, origin, last }: &Cells) -> [Lanes; 2] {
+    fn cells(at: &Lanes, &CellRow { low, high, origin, last }: &CellRow) -> [Lanes; 2] {
         let [mut whole, mut fractions] = [[0.0; LANES]; 2];
         for lane in 0..LANES {
             let at = least(most(at[lane], low), high) - origin;
@@ -414,7 +414,7 @@ mod avx2 {
 
     impl Wide for Avx2 {
         #[inline(always)]
-        fn cells(at: &Lanes, &Cells { low, high, origin, last }: &Cells) -> [Lanes; 2] {
+        fn cells(at: &Lanes, &CellRow { low, high, origin, last }: &CellRow) -> [Lanes; 2] {
             // SAFETY: whoever takes this way has found AVX2.
             unsafe {
                 let at = _mm256_min_ps(_mm256_max_ps(put(at), _mm256_set1_ps(low)), _mm256_set1_ps(high));
@@ -541,7 +541,7 @@ mod tests {
 
     /// All steps from one position to what is read there, bit by bit.
     fn steps<W: Wide>(positions: &[Lanes; 2], values: &[f32]) -> Vec<u32> {
-        let cells = Cells { low: 3.0, high: 11.5, origin: 2.0, last: 7.0 };
+        let cells = CellRow { low: 3.0, high: 11.5, origin: 2.0, last: 7.0 };
         let [[row, along], [column, across]] = positions.each_ref().map(|at| W::cells(at, &cells));
         let index = W::indices(&row, &column, 9.0);
         let mut found = vec![row, along, column, across];

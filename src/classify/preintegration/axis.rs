@@ -26,7 +26,7 @@ use glam::DVec4;
 
 use super::fixed::{cell, split};
 use super::medium::Medium;
-use crate::simd::wide::{Cells, LANES, Lanes, Wide};
+use crate::simd::wide::{CellRow, LANES, Lanes, Wide};
 
 /// Scalar codes -> positions on a table's axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,7 +101,7 @@ impl SlabAxis {
         if self.knots.is_empty() {
             return W::at_least(&at, 0.0);
         }
-        let everywhere = Cells { low: 0.0, high: f32::INFINITY, origin: 0.0, last: f32::INFINITY };
+        let everywhere = CellRow { low: 0.0, high: f32::INFINITY, origin: 0.0, last: f32::INFINITY };
         let [knots, shares] = W::cells(&at, &everywhere);
         W::linear(&self.knots, &W::indices(&[0.0; LANES], &knots, 0.0), &shares)
     }

@@ -111,6 +111,11 @@ impl Slabs for Nearest<'_> {
     fn slab(self, front: f32, back: f32) -> Vec4 {
         self.0.nearest(front, back)
     }
+
+    #[inline(always)]
+    fn coordinates<W: Wide>(self, codes: &Lanes) -> Lanes {
+        self.0.axis.coordinates::<W>(codes)
+    }
 }
 
 /// Between four entries.

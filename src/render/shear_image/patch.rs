@@ -14,7 +14,7 @@ use glam::Vec4;
 
 use super::packet::{IN_SLICE, Packet};
 use crate::simd::prefetch;
-use crate::simd::wide::{self, Indices, LANES, Lanes, Wide};
+use crate::simd::wide::{CellRow, Indices, LANES, Lanes, Wide};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::Scanlines;
 
@@ -188,8 +188,8 @@ impl Patch {
 
     /// The cells that a packet touches along `i` (0) or `j` (1), as places are told. Rounding may leave a ray a hair outside.
     #[inline(always)]
-    fn within(&self, cells: &Cells, n: usize) -> wide::Cells {
-        wide::Cells {
+    fn within(&self, cells: &Cells, n: usize) -> CellRow {
+        CellRow {
             low: number(cells.first[n]),
             high: number(cells.last[n] + 1),
             origin: number(self.first[n]),
