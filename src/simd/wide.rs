@@ -1,8 +1,9 @@
 //! Eight numbers at once, for what the compiler would take one by one: reads from eight places, and all that leads to them.
 //!
 //! A loop over an array of eight becomes one instruction a step, as long as nothing in it reads where another number points to.
-//! There the compiler goes lane by lane, from the places' computation to what is made of what was read. So these few steps are
-//! told twice: plainly, and in AVX2's own terms; of a kernel's two entries each takes its own. Both give the same bits.
+//! There the compiler goes lane by lane, from the places' computation to what is made of what was read, and so it does where a
+//! number decides which of two is kept. So these few steps are told twice: plainly, and in AVX2's own terms; of a kernel's two
+//! entries each takes its own. Both give the same bits.
 
 use glam::{Mat4, Vec4};
 

@@ -19,7 +19,7 @@ use super::mask::{Mask, Runs};
 use super::rows::Row;
 use super::scaled::{Columns, add};
 use super::sources::VoxelSource;
-use super::voxels::{FARTHER, VoxelLattice, Voxels, cut};
+use super::voxels::{VoxelLattice, Voxels, cut, slices_ahead};
 use super::{WORD, clear_bits, first_run, over, run_mask};
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
@@ -100,15 +100,13 @@ impl VoxelLattice for Scaled {
         let cue = voxels.cue.map(|cue| cue.slice(k as f64));
         scratch.enter_slice(along_v.taps());
         // The same scanlines of the next slice are asked for once this one's have work.
-        let (ahead, farther) =
-            if f.reversed { (k.wrapping_sub(1), k.wrapping_sub(FARTHER)) } else { (k + 1, k + FARTHER) };
-        let (has_ahead, mut asked) = (f.slices.contains(&ahead), 0);
+        let (ahead, mut asked) = (slices_ahead(f, k), 0);
         for v in vs {
             let (first, taps) = (along_v.first(v), along_v.taps());
             if taps < WORD && voxels.source.shown(first, taps, k) == 0 {
                 continue;
             }
-            if has_ahead {
+            if let Some([_, farther]) = ahead {
                 voxels.source.prefetch_place(first, farther);
             }
             scratch.weights.clear();
@@ -128,7 +126,7 @@ impl VoxelLattice for Scaled {
                     continue;
                 }
             }
-            if has_ahead {
+            if let Some([ahead, _]) = ahead {
                 (asked.max(first)..first + taps).for_each(|j| voxels.source.prefetch(j, ahead));
                 asked = first + taps;
             }

@@ -26,7 +26,18 @@ use crate::render::slab::opacity_ratio;
 use crate::render::{Cancel, RenderError};
 
 /// Where scanlines are is asked for so many slices before they are read.
-pub(super) const FARTHER: usize = 8;
+const FARTHER: usize = 8;
+
+/// Of which slices memory is asked for while slice `k` is walked: the next one's scanlines, and where those of a farther one are, which
+/// may be none; `None` behind the last.
+#[inline(always)]
+pub(super) fn slices_ahead(factorization: &Factorization, k: usize) -> Option<[usize; 2]> {
+    let [ahead, farther] = match factorization.reversed {
+        true => [k.wrapping_sub(1), k.wrapping_sub(FARTHER)],
+        false => [k + 1, k + FARTHER],
+    };
+    factorization.slices.contains(&ahead).then_some([ahead, farther])
+}
 
 /// What the bands of a frame share.
 #[derive(Debug)]
@@ -136,16 +147,14 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
         let material = self.material.slice(f.share(k));
         let weights = Weights::new(fraction_u, fraction_v);
         let cue = self.cue.map(|cue| cue.slice(k as f64));
-        let (ahead, farther) =
-            if f.reversed { (k.wrapping_sub(1), k.wrapping_sub(FARTHER)) } else { (k + 1, k + FARTHER) };
-        let has_ahead = f.slices.contains(&ahead);
+        let ahead = slices_ahead(f, k);
         rows.next_slice();
         let mut below = None;
         while under != 0 {
             let at = under.trailing_zeros() as usize;
             under &= under - 1;
             let (v, j) = (start_v + at, start_j + at);
-            if has_ahead {
+            if let Some([_, farther]) = ahead {
                 self.source.prefetch_place(j, farther);
             }
             let mut scanline = band.scanline(v - band.first);
@@ -173,7 +182,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             if touched.is_empty() {
                 continue;
             }
-            if has_ahead {
+            if let Some([ahead, _]) = ahead {
                 self.source.prefetch(j, ahead);
             }
             let cue = cue.map(|cue| cue.scanline(v));

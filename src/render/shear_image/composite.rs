@@ -347,17 +347,13 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                     if state.next != Some(layer) {
                         continue;
                     }
-                    if n == 1 {
-                        state.shows = false;
-                        if state.reached == layer {
-                            state.front = state.back;
-                        } else {
-                            let places = patch.places::<W>(packet, &state.cells, layer as f32);
-                            state.front = self.table.coordinates::<W>(&patch.scalars::<W>(Slice::Near, &places));
-                        }
+                    state.shows &= n > 1;
+                    state.front = if n > 1 || state.reached == layer {
+                        state.back
                     } else {
-                        state.front = state.back;
-                    }
+                        let places = patch.places::<W>(packet, &state.cells, layer as f32);
+                        self.table.coordinates::<W>(&patch.scalars::<W>(Slice::Near, &places))
+                    };
                     let places = patch.places::<W>(packet, &state.cells, to);
                     state.back = self.table.coordinates::<W>(&patch.scalars::<W>(back, &places));
                 }
