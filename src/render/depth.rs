@@ -12,17 +12,22 @@
 
 use std::fmt;
 use std::ops::Range;
+use std::sync::Arc;
 
-use glam::{DMat3, DMat4, DVec2, DVec3};
+use glam::{DMat3, DMat4, DVec2, DVec3, Vec4};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::factorization::{Factorization, Meeting};
 use super::view::{Rays, View};
+use super::warp::inside;
 use crate::volume::Volume;
 
 /// A step between two pixels that is so many times as large as the larger of the two beside it is a tear.
 const TEAR: f32 = 2.0;
+
+/// No pixel is so far from a picture, pixels.
+const BEYOND: f64 = 1e12;
 
 /// Shorter steps, mm, are none: rounding of depth buffers.
 const FLAT: f32 = 1e-3;
@@ -34,6 +39,10 @@ pub struct SceneDepth {
     height: usize,
     /// mm along the rays from their origins, row by row from the top; infinite where they meet nothing.
     distances: Vec<f32>,
+    /// By pixel, whether a surface goes on between it and its neighbours to the right and below.
+    smooth: Vec<bool>,
+    /// Pixel coordinates that hold all that rays meet: from where to where. None where nothing is met.
+    met: Option<[DVec2; 2]>,
     /// Of the distances.
     hash: u128,
 }
@@ -55,7 +64,10 @@ impl SceneDepth {
         let (width, height) = (width as usize, height as usize);
         assert_eq!(distances.len(), width * height, "a distance for each pixel");
         let hash = xxh3_128(bytemuck::cast_slice(&distances));
-        Self { width, height, distances, hash }
+        let met = met(&distances, width);
+        let rows = met.map_or(0..0, |[low, high]| (low.y as usize).saturating_sub(1)..high.y as usize);
+        let smooth = smooth(&distances, width, rows);
+        Self { width, height, distances, smooth, met, hash }
     }
 
     /// From a depth buffer in WebGL's window space (0 on the near plane, 1 on the far one, where nothing is), for the `view` that
@@ -70,14 +82,15 @@ impl SceneDepth {
             if value >= 1.0 {
                 return f32::INFINITY;
             }
-            let pixel = DVec2::new((at % width as usize) as f64 + 0.5, (at / width as usize) as f64 + 0.5);
+            let pixel = DVec2::new(f64::from(at as u32 % width) + 0.5, f64::from(at as u32 / width) + 0.5);
             let clip = DVec3::new(
                 2.0 * pixel.x / f64::from(width) - 1.0,
                 1.0 - 2.0 * pixel.y / f64::from(height),
                 2.0 * f64::from(value) - 1.0,
             );
             let ray = view.ray(pixel);
-            (world_from_clip.project_point3(clip) - ray.origin).dot(ray.direction) as f32
+            let point = world_from_clip * clip.extend(1.0);
+            ((point.truncate().dot(ray.direction) / point.w) - ray.origin.dot(ray.direction)) as f32
         };
         Self::new(view, values.par_iter().enumerate().map(distance).collect())
     }
@@ -88,51 +101,102 @@ impl SceneDepth {
         self.distances[y * self.width + x]
     }
 
-    /// The distance at pixel coordinates (centres at halves), which may be beyond the picture.
+    /// The distance at pixel coordinates (centres at halves); beyond the picture it is as on its border.
+    #[inline(always)]
     fn between(&self, at: DVec2) -> f32 {
-        let last = [self.width as isize - 1, self.height as isize - 1];
-        let get = |x: isize, y: isize| self.at(x.clamp(0, last[0]) as usize, y.clamp(0, last[1]) as usize);
-        let at = at - 0.5;
-        let (x, y) = (at.x.floor(), at.y.floor());
-        let (fx, fy) = ((at.x - x) as f32, (at.y - y) as f32);
-        let (x, y) = (x as isize, y as isize);
-        // Most of many pictures is empty.
-        if [get(x, y), get(x + 1, y), get(x, y + 1), get(x + 1, y + 1)] == [f32::INFINITY; 4] {
-            return f32::INFINITY;
-        }
-        let row = |y: isize| goes_on([-1, 0, 1, 2].map(|n| get(x + n, y)));
-        let column = |x: isize| goes_on([-1, 0, 1, 2].map(|n| get(x, y + n)));
-        if row(y) && row(y + 1) && column(x) && column(x + 1) {
-            let upper = get(x, y) + (get(x + 1, y) - get(x, y)) * fx;
-            let lower = get(x, y + 1) + (get(x + 1, y + 1) - get(x, y + 1)) * fx;
+        // From the first centre to the last, and the pixel before.
+        let along = |at: f64, size: usize| {
+            let at = (at - 0.5).clamp(0.0, (size - 1) as f64);
+            let first = (at as usize).min(size.saturating_sub(2));
+            (first, (at - first as f64) as f32)
+        };
+        let ((x, fx), (y, fy)) = (along(at.x, self.width), along(at.y, self.height));
+        let pixel = y * self.width + x;
+        let (right, below) = (usize::from(self.width > 1), if self.height > 1 { self.width } else { 0 });
+        if self.smooth[pixel] {
+            let get = |ahead: usize| self.distances[pixel + ahead];
+            let upper = get(0) + (get(right) - get(0)) * fx;
+            let lower = get(below) + (get(below + right) - get(below)) * fx;
             upper + (lower - upper) * fy
         } else {
-            get(x + isize::from(fx >= 0.5), y + isize::from(fy >= 0.5))
+            self.distances[pixel + if fx >= 0.5 { right } else { 0 } + if fy >= 0.5 { below } else { 0 }]
         }
     }
 }
 
+/// Pixel coordinates in rows of `width` that hold all that is finite.
+fn met(distances: &[f32], width: usize) -> Option<[DVec2; 2]> {
+    let of_row = |(y, row): (usize, &[f32])| {
+        let first = row.iter().position(|distance| distance.is_finite())?;
+        let last = row.iter().rposition(|distance| distance.is_finite())?;
+        Some([DVec2::new(first as f64, y as f64), DVec2::new((last + 1) as f64, (y + 1) as f64)])
+    };
+    let rows = distances.par_chunks(width).enumerate().filter_map(of_row);
+    rows.reduce_with(|[low, high], [a, b]| [low.min(a), high.max(b)])
+}
+
+/// By pixel of rows of `width`, whether a surface goes on between it and its neighbours to the right and below; not for others than
+/// `rows`.
+fn smooth(distances: &[f32], width: usize, rows: Range<usize>) -> Vec<bool> {
+    let height = distances.len() / width;
+    let mut smooth = vec![false; distances.len()];
+    let told = &mut smooth[rows.start * width..rows.end * width];
+    told.par_chunks_mut(width).enumerate().for_each(|(nth, smooth)| {
+        let y = rows.start + nth;
+        let row = |y: usize| &distances[y.min(height - 1) * width..][..width];
+        let [before, upper, lower, after] = [y.saturating_sub(1), y, y + 1, y + 2].map(row);
+        for (x, smooth) in smooth.iter_mut().enumerate() {
+            *smooth = goes_on([before[x], upper[x], lower[x], after[x]]);
+        }
+        for x in 1..width {
+            smooth[x - 1] &= smooth[x];
+        }
+        for row in [upper, lower] {
+            let at = |x: usize| row[x.min(width - 1)];
+            smooth[0] &= goes_on([at(0), at(0), at(1), at(2)]);
+            for (smooth, four) in smooth[1..].iter_mut().zip(row.windows(4)) {
+                *smooth &= goes_on([four[0], four[1], four[2], four[3]]);
+            }
+            for x in (1..width).rev().take(2) {
+                smooth[x] &= goes_on([at(x - 1), at(x), at(x + 1), at(x + 2)]);
+            }
+        }
+    });
+    smooth
+}
+
 /// Whether a surface goes on between the middle two of four neighbours.
+#[inline(always)]
 fn goes_on([before, a, b, after]: [f32; 4]) -> bool {
-    let beside = (a - before).abs().max((after - b).abs());
-    (b - a).abs() <= TEAR * beside + FLAT && a.is_finite() && b.is_finite()
+    let [before, step, after] = [a - before, b - a, after - b].map(f32::abs);
+    let beside = if before > after { before } else { after };
+    (step <= TEAR * beside + FLAT) & a.is_finite() & b.is_finite()
 }
 
 /// Pixels of a word of masks.
 const WORD: usize = 64;
 
 /// What is seen of the rays of an intermediate image, in slices from the front one on: from where to where, but for holes.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Limits {
-    width: usize,
-    /// By pixel; `from` is infinite where nothing is seen.
-    stretches: Vec<Stretch>,
-    /// By scanline, in the order of pixels and, within one, of its ray.
-    holes: Vec<Vec<Hole>>,
-    /// By scanline and 64 pixels.
+    scanlines: Vec<Scanline>,
+}
+
+/// Of a scanline.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Scanline {
+    /// The same for all pixels but for those of the words from one on.
+    elsewhere: Stretch,
+    first_word: usize,
     words: Vec<Word>,
-    /// By scanline.
-    summaries: Vec<Summary>,
+    /// From where to where, by pixel of these words; `from` is infinite where nothing is seen.
+    from: Vec<f32>,
+    to: Vec<f32>,
+    /// In the order of pixels and, within one, of its ray.
+    holes: Vec<Hole>,
+    /// What is seen of any pixel is within `some`, and of every pixel all of `whole`.
+    some: Stretch,
+    whole: Stretch,
 }
 
 /// From where to where.
@@ -159,29 +223,63 @@ struct Word {
     within: Stretch,
 }
 
-/// What is the same for a scanline: what is seen of any pixel is within `some`, and of every pixel all of `whole`.
-#[derive(Clone, Debug, PartialEq)]
-struct Summary {
-    some: Stretch,
-    whole: Stretch,
-}
-
-impl Summary {
-    fn new(words: &[Word]) -> Self {
-        let (mut some, mut whole) = (Stretch::NOTHING, Stretch::ALL);
-        for Word { bounds: [least, greatest], holes, .. } in words {
+impl Scanline {
+    /// With holes, in order, in what is seen of `pixels`, whose stretches `fill` writes; of other pixels `elsewhere` is seen, and they may be
+    /// as many as it takes.
+    pub(super) fn new(
+        elsewhere: Stretch,
+        pixels: Range<usize>,
+        holes: Vec<Hole>,
+        fill: impl FnOnce(&mut [f32], &mut [f32]),
+    ) -> Self {
+        let first_word = pixels.start / WORD;
+        let words = if pixels.is_empty() { 0 } else { pixels.end.div_ceil(WORD) - first_word };
+        let (mut from, mut to) = (vec![elsewhere.from; words * WORD], vec![elsewhere.to; words * WORD]);
+        let filled = pixels.start - first_word * WORD..pixels.end - first_word * WORD;
+        if !filled.is_empty() {
+            fill(&mut from[filled.clone()], &mut to[filled]);
+        }
+        let of_word = |u: usize| holes.partition_point(|hole| (hole.u as usize) < u);
+        let word = |(n, (from, to)): (usize, (&[f32], &[f32]))| {
+            let first = (first_word + n) * WORD;
+            let theirs = of_word(first)..of_word(first + WORD);
+            let within = holes[theirs.clone()].iter().fold(Stretch::NOTHING, |all, Hole { stretch, .. }| Stretch {
+                from: all.from.min(stretch.from),
+                to: all.to.max(stretch.to),
+            });
+            let [[least_from, greatest_from], [least_to, greatest_to]] = [from, to].map(bounds);
+            let bounds = [Stretch { from: least_from, to: least_to }, Stretch { from: greatest_from, to: greatest_to }];
+            Word { bounds, holes: theirs, within }
+        };
+        let words: Vec<_> = from.chunks_exact(WORD).zip(to.chunks_exact(WORD)).enumerate().map(word).collect();
+        let (mut some, mut whole) = (elsewhere, elsewhere);
+        for Word { bounds: [least, greatest], holes, .. } in &words {
             some = Stretch { from: some.from.min(least.from), to: some.to.max(greatest.to) };
             whole = Stretch { from: whole.from.max(greatest.from), to: whole.to.min(least.to) };
             if !holes.is_empty() {
                 whole = Stretch::NOTHING;
             }
         }
-        Self { some, whole }
+        Self { elsewhere, first_word, words, from, to, holes, some, whole }
+    }
+
+    /// What is seen of pixel `u`, but for holes.
+    #[inline(always)]
+    fn at(&self, u: usize) -> Stretch {
+        let at = u.wrapping_sub(self.first_word * WORD);
+        match (self.from.get(at), self.to.get(at)) {
+            (Some(&from), Some(&to)) => Stretch { from, to },
+            _ => self.elsewhere,
+        }
+    }
+
+    /// Pixels that have stretches of their own are among these.
+    fn told(&self) -> Range<usize> {
+        self.first_word * WORD..(self.first_word + self.words.len()) * WORD
     }
 }
 
 impl Stretch {
-    const ALL: Self = Self { from: f32::NEG_INFINITY, to: f32::INFINITY };
     pub(super) const NOTHING: Self = Self { from: f32::INFINITY, to: f32::NEG_INFINITY };
 
     /// Whether some of it lies between two positions.
@@ -198,61 +296,38 @@ impl Stretch {
 }
 
 impl Limits {
-    /// What scanlines see, told by a function that fills one: v, pixels that are [`Stretch::NOTHING`], and the holes in what they
-    /// become, in order.
-    pub(super) fn new(
-        [width, height]: [usize; 2],
-        scanline: impl Fn(usize, &mut [Stretch], &mut Vec<Hole>) + Sync,
-    ) -> Self {
-        let mut stretches = vec![Stretch::NOTHING; width * height];
-        let filled = stretches.par_chunks_mut(width).enumerate().map(|(v, row)| {
-            let mut holes = vec![];
-            scanline(v, row, &mut holes);
-            let of_word = |u: u32| holes.partition_point(|hole| hole.u < u);
-            let word = |(n, row): (usize, &[Stretch])| {
-                let theirs = of_word((n * WORD) as u32)..of_word(((n + 1) * WORD) as u32);
-                let within = holes[theirs.clone()].iter().fold(Stretch::NOTHING, |all, Hole { stretch, .. }| Stretch {
-                    from: all.from.min(stretch.from),
-                    to: all.to.max(stretch.to),
-                });
-                Word { bounds: bounds(row), holes: theirs, within }
-            };
-            let words: Vec<_> = row.chunks(WORD).enumerate().map(word).collect();
-            (holes, words)
-        });
-        let (holes, words): (Vec<_>, Vec<_>) = filled.unzip();
-        let summaries = words.iter().map(|words| Summary::new(words)).collect();
-        Self { width, stretches, holes, words: words.into_iter().flatten().collect(), summaries }
+    /// What scanlines see, so many of them.
+    pub(super) fn new(height: usize, scanline: impl Fn(usize) -> Scanline + Sync + Send) -> Self {
+        Self { scanlines: (0..height).into_par_iter().map(scanline).collect() }
     }
 
     /// True where nothing is seen at all.
     pub(super) fn is_empty(&self) -> bool {
-        self.words.iter().all(|Word { bounds: [least, greatest], .. }| {
-            least.from == f32::INFINITY && greatest.to == f32::NEG_INFINITY
-        })
+        self.scanlines.iter().all(|scanline| scanline.some == Stretch::NOTHING)
     }
 
     /// What is seen of the ray of pixel (u, v), but for holes.
     #[inline(always)]
     pub fn at(&self, u: usize, v: usize) -> Stretch {
-        self.stretches[v * self.width + u]
+        self.scanlines[v].at(u)
     }
 
     /// The holes in that, one behind another.
     #[inline(always)]
     pub fn holes(&self, u: usize, v: usize) -> impl Iterator<Item = Stretch> + '_ {
-        let word = &self.words[v * self.width.div_ceil(WORD) + u / WORD];
-        let theirs = self.holes[v][word.holes.clone()].iter().filter(move |hole| hole.u as usize == u);
-        theirs.map(|hole| hole.stretch)
+        let Scanline { first_word, words, holes, .. } = &self.scanlines[v];
+        let word = words.get((u / WORD).wrapping_sub(*first_word));
+        let theirs = word.map_or(&[][..], |word| &holes[word.holes.clone()]).iter();
+        theirs.filter(move |hole| hole.u as usize == u).map(|hole| hole.stretch)
     }
 
     /// Whether what lies on some scanlines between two positions is seen.
     #[inline(always)]
     pub fn meets(&self, vs: Range<usize>, between: [f32; 2]) -> Meeting {
         let (mut some, mut all) = (false, true);
-        for summary in &self.summaries[vs] {
-            some |= summary.some.meets(between);
-            all &= summary.whole.holds(between);
+        for scanline in &self.scanlines[vs] {
+            some |= scanline.some.meets(between);
+            all &= scanline.whole.holds(between);
         }
         if all {
             Meeting::Inside
@@ -267,21 +342,31 @@ impl Limits {
     /// all is.
     #[inline(always)]
     pub fn seen(&self, v: usize, word: usize, between: [f32; 2]) -> [u64; 2] {
-        let Word { bounds: [least, greatest], holes, within } = &self.words[v * self.width.div_ceil(WORD) + word];
+        let scanline = &self.scanlines[v];
+        let at = word.wrapping_sub(scanline.first_word);
+        let every = |is: bool| if is { u64::MAX } else { 0 };
+        let Some(Word { bounds: [least, greatest], holes, within }) = scanline.words.get(at) else {
+            return [scanline.elsewhere.meets(between), scanline.elsewhere.holds(between)].map(every);
+        };
         if !(Stretch { from: least.from, to: greatest.to }).meets(between) {
             return [0; 2];
         }
         let mut seen = [u64::MAX; 2];
         if !(Stretch { from: greatest.from, to: least.to }).holds(between) {
             seen = [0; 2];
-            let row = &self.stretches[v * self.width..][..self.width];
-            for (at, stretch) in row[word * WORD..].iter().take(WORD).enumerate() {
-                seen[0] |= u64::from(stretch.meets(between)) << at;
-                seen[1] |= u64::from(stretch.holds(between)) << at;
+            let [from, to] = [&scanline.from, &scanline.to].map(|ends| ends[at * WORD..][..WORD].chunks_exact(4));
+            let [first, last] = between.map(Vec4::splat);
+            // Four pixels of `Stretch::meets` and `Stretch::holds`.
+            for (four, (from, to)) in from.zip(to).enumerate() {
+                let [from, to] = [from, to].map(Vec4::from_slice);
+                let meets = from.cmplt(last) & to.cmpgt(first);
+                let holds = from.cmple(first) & to.cmpge(last);
+                seen[0] |= u64::from(meets.bitmask()) << (4 * four);
+                seen[1] |= u64::from(holds.bitmask()) << (4 * four);
             }
         }
         if within.meets(between) {
-            for Hole { u, stretch } in &self.holes[v][holes.clone()] {
+            for Hole { u, stretch } in &scanline.holes[holes.clone()] {
                 let pixel = 1 << (*u as usize % WORD);
                 if stretch.holds(between) {
                     seen[0] &= !pixel;
@@ -303,8 +388,7 @@ pub struct InverseWarp<'a> {
     image_from_sheared: DMat3,
     along: AlongRays,
     size: DVec2,
-    /// By pixel of the intermediate image.
-    ends: Vec<f32>,
+    limits: Arc<Limits>,
 }
 
 impl<'a> InverseWarp<'a> {
@@ -317,68 +401,91 @@ impl<'a> InverseWarp<'a> {
             image_from_sheared: factorization.sheared_from_image.inverse(),
             along: AlongRays::new(view, volume, factorization),
             size: DVec2::new(depth.width as f64, depth.height as f64),
-            ends: vec![],
+            limits: Arc::default(),
         };
-        let [width, height] = factorization.size;
-        let end = |at: usize| match inverse.image_point(DVec2::new((at % width) as f64, (at / width) as f64)) {
-            Some(at) => inverse.end_at(at.clamp(DVec2::ZERO, inverse.size)) as f32,
-            None => f32::INFINITY,
-        };
-        inverse.ends = (0..width * height).into_par_iter().map(end).collect();
+        let elsewhere = Stretch { from: f32::NEG_INFINITY, to: inverse.beyond() };
+        inverse.limits = Arc::new(Limits::new(factorization.size[1], |v| {
+            let met = inverse.met_by(v);
+            Scanline::new(elsewhere, met.clone(), vec![], |_, to| {
+                for (u, to) in met.zip(to) {
+                    if let Some(at) = inverse.image_point(DVec2::new(u as f64, v as f64)) {
+                        *to = inverse.end_at(at);
+                    }
+                }
+            })
+        }));
         Some(inverse)
     }
 
-    /// Where the ray of pixel (u, v) ends, in slices from the front one on; infinite where it goes on.
+    /// The pixels of scanline `v` that may meet something.
+    fn met_by(&self, v: usize) -> Range<usize> {
+        let Some([mut low, mut high]) = self.depth.met else { return 0..0 };
+        // What touches the picture's border goes on beyond it; and a pixel around is not told apart.
+        for axis in 0..2 {
+            low[axis] = if low[axis] > 0.0 { low[axis] - 1.0 } else { -BEYOND };
+            high[axis] = if high[axis] < self.size[axis] { high[axis] + 1.0 } else { BEYOND };
+        }
+        let start = self.image_from_sheared * DVec3::new(0.0, v as f64, 1.0);
+        inside([low, high], start, self.image_from_sheared.x_axis, self.factorization.size[0])
+    }
+
+    /// Where rays end that go on behind the volume.
+    fn beyond(&self) -> f32 {
+        self.factorization.dims[2] as f32
+    }
+
+    /// Where the ray of pixel (u, v) ends, in slices from the front one on: a slice before or behind the volume at most.
     pub fn end(&self, u: usize, v: usize) -> f32 {
-        self.ends[v * self.factorization.size[0] + u]
+        self.limits.at(u, v).to
     }
 
     /// The final image's coordinates of a place on the intermediate one; `None` where that is behind the eye.
+    #[inline(always)]
     pub fn image_point(&self, sheared: DVec2) -> Option<DVec2> {
         let homogeneous = self.image_from_sheared * sheared.extend(1.0);
+        if self.factorization.is_parallel() {
+            return Some(homogeneous.truncate());
+        }
         (homogeneous.z > 0.0).then(|| homogeneous.truncate() / homogeneous.z)
     }
 
-    /// Where the ray through a point of the final image ends.
-    pub fn end_at(&self, at: DVec2) -> f64 {
+    /// Where the ray through a point of the final image ends, as [`Self::end`] tells it.
+    #[inline(always)]
+    pub fn end_at(&self, at: DVec2) -> f32 {
+        let at = at.clamp(DVec2::ZERO, self.size);
         let distance = self.depth.between(at);
-        if !distance.is_finite() {
-            return f64::INFINITY;
+        if distance == f32::INFINITY {
+            return self.beyond();
         }
-        self.factorization.position(self.along.index(at, distance.into()))
+        let end = self.factorization.position(self.along.index(at, distance.into()));
+        (end as f32).clamp(-1.0, self.beyond())
     }
 
     /// What is seen in front of it.
-    pub fn limits(&self) -> Limits {
-        Limits::new(self.factorization.size, |v, row, _| {
-            for (u, stretch) in row.iter_mut().enumerate() {
-                *stretch = Stretch { to: self.end(u, v), ..Stretch::ALL };
-            }
-        })
+    pub fn limits(&self) -> Arc<Limits> {
+        Arc::clone(&self.limits)
     }
 
-    /// Whether what ends the rays is torn among the pixels from (u, v) to (u + 1, v + 1), both on the image. What lies beyond the
-    /// volume is not told apart.
-    pub fn is_torn(&self, u: usize, v: usize) -> bool {
+    /// The pixels u of scanline v, but for the last ones, where what ends the rays is torn among those from (u, v) to (u + 1, v + 1): by more
+    /// than `least` slices.
+    pub fn torn(&self, v: usize, least: f32) -> impl Iterator<Item = usize> {
         let [width, height] = self.factorization.size;
-        let [a, b] = [0, 1].map(|du| self.within_volume(self.end(u + du, v)));
-        let [c, d] = [0, 1].map(|du| self.within_volume(self.end(u + du, v + 1)));
-        if [b - a, d - c, c - a, d - b].iter().all(|step| step.abs() <= FLAT) {
-            return false;
-        }
-        let get = |du: usize, dv: usize| {
-            // Of -1, 0, 1, 2 from the first pixel on.
-            let at = |first: usize, n: usize, size: usize| (first + n).saturating_sub(1).min(size - 1);
-            self.within_volume(self.end(at(u, du, width), at(v, dv, height)))
-        };
-        let row = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(m, n)));
-        let column = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(n, m)));
-        !(row(1) && row(2) && column(1) && column(2))
-    }
-
-    /// An end, or a slice beyond the volume where it is farther away than that.
-    pub fn within_volume(&self, end: f32) -> f32 {
-        end.clamp(-1.0, self.factorization.dims[2] as f32)
+        // Of -1, 0, 1, 2 scanlines from that one on.
+        let rows = [0, 1, 2, 3].map(|n| &self.limits.scanlines[(v + n).saturating_sub(1).min(height - 1)]);
+        let [_, upper, lower, _] = rows;
+        let met = [upper.told(), lower.told()].into_iter().filter(|told| !told.is_empty());
+        let (first, end) = met.fold((width, 0), |(first, end), met| (first.min(met.start), end.max(met.end)));
+        let cells = first.saturating_sub(1)..end.min(width - 1);
+        let apart = cells.filter(move |&u| {
+            let [low, high] = bounds(&[upper.at(u), upper.at(u + 1), lower.at(u), lower.at(u + 1)].map(|at| at.to));
+            high - low > least
+        });
+        apart.filter(move |u| {
+            let get = |du: usize, row: usize| rows[row].at((u + du).saturating_sub(1).min(width - 1)).to;
+            let row = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(m, n)));
+            let column = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(n, m)));
+            !(row(1) && row(2) && column(1) && column(2))
+        })
     }
 }
 
@@ -423,12 +530,13 @@ impl AlongRays {
     }
 }
 
-/// The least and the greatest of some stretches.
-fn bounds(stretches: &[Stretch]) -> [Stretch; 2] {
-    let (mut least, mut greatest) = (stretches[0], stretches[0]);
-    for stretch in stretches {
-        least = Stretch { from: least.from.min(stretch.from), to: least.to.min(stretch.to) };
-        greatest = Stretch { from: greatest.from.max(stretch.from), to: greatest.to.max(stretch.to) };
+/// The least and the greatest of some numbers.
+#[inline(always)]
+fn bounds(numbers: &[f32]) -> [f32; 2] {
+    let (mut least, mut greatest) = (numbers[0], numbers[0]);
+    for &number in numbers {
+        least = if number < least { number } else { least };
+        greatest = if number > greatest { number } else { greatest };
     }
     [least, greatest]
 }

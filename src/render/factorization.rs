@@ -25,6 +25,7 @@ mod perspective;
 mod tests;
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::{DAffine2, DAffine3, DMat3, DMat4, DVec2, DVec3};
 
@@ -85,7 +86,7 @@ pub struct Factorization {
     /// What is cut out of that.
     holes: Vec<Convex>,
     /// What is seen of the rays of pixels.
-    limits: Option<Limits>,
+    limits: Option<Arc<Limits>>,
 }
 
 /// What makes the rays parallel to `k`.
@@ -326,7 +327,7 @@ impl Factorization {
     }
 
     /// With what is seen of the rays of pixels.
-    pub(super) fn limited(mut self, limits: Option<Limits>) -> Self {
+    pub(super) fn limited(mut self, limits: Option<Arc<Limits>>) -> Self {
         self.limits = limits;
         self
     }
@@ -409,7 +410,7 @@ impl Factorization {
 
     /// What is seen of the rays of pixels, where that is not all that clip planes leave.
     pub fn limits(&self) -> Option<&Limits> {
-        self.limits.as_ref()
+        self.limits.as_deref()
     }
 
     /// What clip planes, holes and limits leave of the ray of pixel (u, v) between two slices, as fractions of the way from the first to

@@ -18,7 +18,7 @@ use std::time::Instant;
 use glam::{DAffine3, DVec2, DVec3, Vec4};
 use rayon::prelude::*;
 
-use super::depth::{Hole, InverseWarp, Limits, Stretch};
+use super::depth::{self, Hole, InverseWarp, Limits, Stretch};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::view::{Clip, cut};
@@ -168,7 +168,6 @@ fn each_layer(shapes: &[Shape], start: DVec3, step: DVec3, span: [f64; 2], mut f
 
 /// The pieces of the rays of an intermediate image.
 pub(super) struct Layers {
-    size: [usize; 2],
     scanlines: Vec<Scanline>,
 }
 
@@ -229,7 +228,7 @@ impl Layers {
             Ok(found)
         };
         let scanlines = (0..height).into_par_iter().map(scanline).collect::<Result<_, _>>()?;
-        Ok(Self { size: factorization.size, scanlines })
+        Ok(Self { scanlines })
     }
 
     /// The layers there are, front to back.
@@ -247,15 +246,19 @@ impl Layers {
 
     /// What is seen of a layer behind an image: nothing where that is as opaque as `termination`.
     pub fn limits(&self, which: Which, image: &IntermediateImage, termination: f32) -> Limits {
-        Limits::new(self.size, |v, row, holes| {
-            let scanline = &self.scanlines[v];
-            for &(u, piece, stretch) in &scanline.pieces {
-                let u = u as usize;
-                if piece == which && image.opacity(u, v) < termination {
-                    row[u] = stretch;
+        Limits::new(self.scanlines.len(), |v| {
+            let Scanline { pieces, holes } = &self.scanlines[v];
+            let seen =
+                |&&(u, piece, _): &&(u32, Which, Stretch)| piece == which && image.opacity(u as usize, v) < termination;
+            let first = pieces.iter().find(seen).map_or(0, |piece| piece.0 as usize);
+            let end = pieces.iter().rfind(seen).map_or(0, |piece| piece.0 as usize + 1);
+            let holes = holes.iter().filter(|(of, _)| *of == which).map(|(_, hole)| *hole).collect();
+            depth::Scanline::new(Stretch::NOTHING, first..end, holes, |from, to| {
+                for &(u, _, stretch) in pieces.iter().filter(seen) {
+                    let at = u as usize - first;
+                    (from[at], to[at]) = (stretch.from, stretch.to);
                 }
-            }
-            holes.extend(scanline.holes.iter().filter(|(of, _)| *of == which).map(|(_, hole)| *hole));
+            })
         })
     }
 }

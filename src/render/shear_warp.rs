@@ -4,6 +4,7 @@ mod slabs;
 mod voxels;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use glam::Vec4;
@@ -111,7 +112,7 @@ fn part(
         if limits.is_empty() {
             continue;
         }
-        let limited = factorization.clone().limited(Some(limits));
+        let limited = factorization.clone().limited(Some(Arc::new(limits)));
         let tables = tables.entry(which.within).or_insert_with(|| Tables::new(scene, settings, factorization));
         let pass = Pass::new(scene, settings, &limited, tables, cue.as_ref(), cancel);
         timings.shade += start.elapsed();

@@ -289,9 +289,9 @@ impl Row {
     }
 }
 
-/// The pixels of a row whose positions lie within `extent`.
+/// The pixels of a row whose homogeneous positions, `start` and each a `step` on, lie within `extent`.
 #[inline(always)]
-fn inside([lowest, highest]: [DVec2; 2], start: DVec3, step: DVec3, length: usize) -> Range<usize> {
+pub fn inside([lowest, highest]: [DVec2; 2], start: DVec3, step: DVec3, length: usize) -> Range<usize> {
     let above = |axis: usize| [start, step].map(|p| p[axis] - lowest[axis] * p.z);
     let below = |axis: usize| [start, step].map(|p| highest[axis] * p.z - p[axis]);
     let (mut low, mut high) = (0.0, length as f64 - 1.0);

@@ -12,6 +12,9 @@ use super::Part;
 use crate::render::Background;
 use crate::render::intermediate::{Fixed, write_pixel};
 
+/// By so much a place on the picture may be off, pixels.
+const ROUNDING: f64 = 1e-6;
+
 /// Ends that lie no farther apart, in slices, are the same.
 const SAME: f32 = 1.0;
 
@@ -32,8 +35,7 @@ impl Part<'_> {
     /// Those between scanlines `v` and `v + 1`, of a picture of `size` pixels.
     fn mended(&self, v: usize, size: [usize; 2]) -> Vec<([usize; 2], Fixed)> {
         let Some(depth) = self.depth else { return vec![] };
-        let torn = (0..self.image.size()[0].saturating_sub(1)).filter(|u| depth.is_torn(*u, v));
-        let pixels = torn.flat_map(|u| {
+        let pixels = depth.torn(v, SAME).flat_map(|u| {
             let [xs, ys] = self.over([u, v], size);
             ys.flat_map(move |y| xs.clone().map(move |x| [x, y]))
                 .filter_map(move |at| Some((at, self.mended_pixel(at, [u, v])?)))
@@ -41,7 +43,7 @@ impl Part<'_> {
         pixels.collect()
     }
 
-    /// The pixels of a picture of `size` that may lie between pixel (u, v) and pixel (u + 1, v + 1).
+    /// The pixels of a picture of `size` with centres that may lie between pixel (u, v) and pixel (u + 1, v + 1).
     fn over(&self, [u, v]: [usize; 2], size: [usize; 2]) -> [std::ops::Range<usize>; 2] {
         let Some(depth) = self.depth else { return [0..0, 0..0] };
         let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
@@ -50,7 +52,10 @@ impl Part<'_> {
             (low, high) = (low.min(at), high.max(at));
         }
         // Centres are at halves; beyond zero a number becomes zero.
-        [0, 1].map(|axis| (low[axis] - 0.5).floor() as usize..((high[axis] + 0.5).ceil() as usize).min(size[axis]))
+        [0, 1].map(|axis| {
+            let first = (low[axis] - 0.5 - ROUNDING).ceil() as usize;
+            first..((high[axis] + 0.5 + ROUNDING).floor() as usize).min(size[axis])
+        })
     }
 
     /// Pixel (x, y), if it lies between pixel (u, v) and pixel (u + 1, v + 1) and is to be warped anew.
@@ -64,9 +69,9 @@ impl Part<'_> {
         if homogeneous.z <= 0.0 || !here || !factorization.owns(centre) {
             return None;
         }
-        let own = depth.within_volume(depth.end_at(centre) as f32);
+        let own = depth.end_at(centre);
         let around = [[u, v], [u + 1, v], [u, v + 1], [u + 1, v + 1]];
-        let apart = around.map(|[u, v]| (depth.within_volume(depth.end(u, v)) - own).abs());
+        let apart = around.map(|[u, v]| (depth.end(u, v) - own).abs());
         let farthest = apart.into_iter().fold(0.0, f32::max);
         if farthest <= SAME {
             return None;
