@@ -4,8 +4,8 @@
 //! request, the newest, and one frame in the making:
 //!
 //! - While requests keep coming, frames have the quality of movement (`draft` unless told). Once none
-//!   has come for [`REST`], the same view is refined quality by quality up to the request's own
-//!   (`high` unless told).
+//!   has come for half as long again as the last one took to follow the one before ([`rest`]), the same view is refined quality by
+//!   quality up to the request's own (`high` unless told), or at once where that one lately took less than [`QUICK`].
 //! - A new request drops a refinement in the middle of its work. A frame of movement is worth more
 //!   finished than dropped, for the next would take as long: it is dropped only where it is
 //!   slow ([`SLOW`]), and never twice in a row, so that something always arrives.
@@ -39,8 +39,14 @@ use crate::render::Quality;
 /// Frames on their way at most: one that the client shows, and one that follows it.
 const WINDOW: u64 = 2;
 
-/// Without a request for so long the client rests: more than a pointer leaves between two events on a slow screen, of 30 frames/s.
-const REST: Duration = Duration::from_millis(40);
+/// Without a request for so long the client rests, at the least: pointers of fast screens leave less than that between two events.
+const LEAST_REST: Duration = Duration::from_millis(20);
+
+/// And at the most: more than they leave on a slow screen, of 30 frames/s.
+const MOST_REST: Duration = Duration::from_millis(40);
+
+/// Of a refinement that takes less nothing is seen before it: it is there 150 ms after the last request.
+const QUICK: Duration = Duration::from_millis(120);
 
 /// A frame of movement that takes longer may be dropped for a newer one.
 const SLOW: Duration = Duration::from_millis(100);
@@ -185,9 +191,13 @@ struct Session {
     document: Value,
     requests: u64,
     arrived: Instant,
+    /// The client rests without another one for so long.
+    rest: Duration,
     moving: Quality,
     /// Qualities that the newest request is still to be rendered at, the next one last.
     due: Vec<Quality>,
+    /// What the last frame that needed no better one took.
+    refined: Option<Duration>,
     making: Option<Making>,
     /// A slow frame was dropped, and none has arrived since.
     dropped: bool,
@@ -204,8 +214,10 @@ impl Session {
             document: Value::Object(Map::new()),
             requests: 0,
             arrived: Instant::now(),
+            rest: MOST_REST,
             moving: Quality::Draft,
             due: vec![],
+            refined: None,
             making: None,
             dropped: false,
             sent: 0,
@@ -294,6 +306,7 @@ impl Session {
 
     /// Makes a request the newest.
     fn take(&mut self, document: Value, due: Vec<Quality>) {
+        self.rest = rest(self.arrived.elapsed());
         (self.document, self.due, self.arrived) = (document, due, Instant::now());
         self.requests += 1;
         let Some(making) = &self.making else { return };
@@ -315,20 +328,22 @@ impl Session {
         if self.making.is_some() || self.sent - self.acknowledged >= WINDOW {
             return None;
         }
-        let (&quality, better) = self.due.split_last()?;
-        let first = qualities(&self.document, self.moving).pop();
-        Some(Step { request: self.requests, quality, moving: first == Some(quality), last: better.is_empty() })
+        let &next = self.due.last()?;
+        let moving = qualities(&self.document, self.moving).pop() == Some(next);
+        let quality = if moving { next } else { refinement(&self.due, self.refined)? };
+        Some(Step { request: self.requests, quality, moving, last: self.due.first() == Some(&quality) })
     }
 
     /// When the next frame is to be begun, where it is to wait for rest.
     fn refine_at(&self) -> Option<Instant> {
-        self.next().map(|_| self.arrived + REST)
+        self.next().map(|_| self.arrived + self.rest)
     }
 
     /// Begins the next frame, if its time has come.
     fn begin(&mut self) {
-        let Some(step) = self.next().filter(|step| step.moving || self.arrived.elapsed() >= REST) else { return };
-        self.due.pop();
+        let Some(step) = self.next().filter(|step| step.moving || self.arrived.elapsed() >= self.rest) else { return };
+        // It, and what is not as good.
+        self.due.retain(|quality| *quality > step.quality);
         let (app, asked) = (Arc::clone(&self.app), self.asked(&self.document, step.quality));
         let frame = Box::pin(async move {
             let asked = asked?;
@@ -340,8 +355,11 @@ impl Session {
 
     /// The message for a frame that is made, or could not be.
     fn answer(&mut self, outcome: Outcome) -> Message {
-        let step = self.making.take().expect("something was made").step;
+        let Making { step, begun, .. } = self.making.take().expect("something was made");
         self.dropped = false;
+        if step.last && !step.moving {
+            self.refined = Some(begun.elapsed());
+        }
         match outcome {
             Ok((asked, made)) => {
                 self.sent += 1;
@@ -361,6 +379,17 @@ impl Session {
         let refusal = Refusal { request: self.requests, error: problem.body() };
         Message::Text(serde_json::to_string(&refusal).expect("strings and numbers").into())
     }
+}
+
+/// How long a client rests once it sends nothing more, by the time between its last two requests.
+fn rest(between: Duration) -> Duration {
+    (between + between / 2).clamp(LEAST_REST, MOST_REST)
+}
+
+/// Which of the qualities that are due, the next one last, follows in rest, by what the best one took the last time.
+fn refinement(due: &[Quality], took: Option<Duration>) -> Option<Quality> {
+    let quick = took.is_some_and(|took| took < QUICK);
+    if quick { due.first() } else { due.last() }.copied()
 }
 
 /// The qualities that a request is rendered at, the first one last: that of movement, then each better one up
@@ -441,6 +470,24 @@ mod tests {
         ] {
             assert_eq!(qualities(&document, moving), due, "{document} {moving:?}");
         }
+    }
+
+    #[test]
+    fn who_sends_requests_faster_rests_sooner() {
+        for (between, expected) in [(0, 20), (8, 20), (16, 24), (20, 30), (33, 40), (5000, 40)] {
+            assert_eq!(rest(Duration::from_millis(between)), Duration::from_millis(expected), "{between}");
+        }
+    }
+
+    #[test]
+    fn the_best_quality_comes_at_once_where_it_is_quick() {
+        let due = [Quality::High, Quality::Standard];
+        let after = |ms: Option<u64>| refinement(&due, ms.map(Duration::from_millis));
+        assert_eq!(
+            [None, Some(119), Some(120)].map(after).map(Option::unwrap),
+            [Quality::Standard, Quality::High, Quality::Standard]
+        );
+        assert_eq!(refinement(&[], None), None);
     }
 
     #[test]
