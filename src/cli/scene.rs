@@ -17,7 +17,7 @@ use shearwarp::render::shadow::Shadow;
 use shearwarp::render::{Cancel, Image, Scene, Timings, View};
 use shearwarp::service;
 use shearwarp::service::request::{
-    GeometryRequest, ImageLimits, Kind, Look, OPTIONS, RenderRequest, RequestError, ResolvedLabels, ResolvedRequest,
+    GeometryRequest, ImageLimits, Kind, Look, OPTIONS, RenderRequest, RequestError, ResolvedRequest,
 };
 use shearwarp::volume::decode::{self, Limits, RawLayout};
 use shearwarp::volume::{PreparedVolume, Volume, phantom, pyramid};
@@ -155,8 +155,8 @@ pub struct Stage {
     pub classified: Option<Classified>,
     /// The same for each region that shows something.
     of_regions: Vec<Option<Classified>>,
-    /// A segmentation, and its tables.
-    labels: Option<(Volume, LabelTables)>,
+    /// A segmentation, and its tables for the volume and each region that shows something.
+    labels: Option<(Volume, Vec<LabelTables>)>,
     /// Where a light casts one.
     shadow: Option<Shadow>,
     /// Meshes.
@@ -201,7 +201,7 @@ impl Stage {
         let volume = loaded.volume;
         let presets = FittedPresets::of(&volume, loaded.modality.as_deref());
         let resolved = request.resolve(&volume, &presets, &LIMITS).map_err(refused)?;
-        let labels = resolved.labels.as_ref().map(|told| labels(&volume, told)).transpose()?;
+        let labels = labels(&volume, &resolved)?;
         let solids = resolved.geometry.iter().map(solid).collect::<Result<_, _>>()?;
         let progress = spinner("octree");
         let level = (0..resolved.level()).fold(volume.clone(), |finer, _| pyramid::coarser(&finer));
@@ -210,10 +210,9 @@ impl Stage {
         let mut looks = resolved.looks().map(|look| Classified::build(&prepared, look));
         let classified = looks.next().flatten();
         let of_regions = looks.collect();
-        let shadow = resolved
-            .shadows
-            .as_ref()
-            .map(|told| told.cast(&prepared, &resolved.look.transfer, labels.as_ref().map(by_label)));
+        let shadow = resolved.shadows.as_ref().map(|told| {
+            told.cast(&prepared, &resolved.look.transfer, labels.as_ref().map(|labels| by_label(labels, 0)))
+        });
         progress.finish_and_clear();
         Ok(Self { volume, prepared, classified, of_regions, labels, shadow, solids, request, resolved })
     }
@@ -236,7 +235,7 @@ impl Stage {
                 transfer: &look.transfer,
                 classification: classified.as_ref().map(|c| &c.classification),
                 encodings: classified.as_ref().and_then(|c| c.encodings.as_ref()).map(|(encodings, _)| encodings),
-                labels: self.labels.as_ref().map(by_label),
+                labels: self.labels.as_ref().map(|labels| by_label(labels, nth)),
                 shadow: self.shadow.as_ref().filter(|_| nth == 0),
             })
             .collect();
@@ -246,17 +245,20 @@ impl Stage {
     }
 }
 
-fn by_label((labels, tables): &(Volume, LabelTables)) -> Labels<'_> {
-    Labels { voxels: labels.scalars(), tables }
+/// The segmentation with the tables of the `nth` look.
+fn by_label((labels, tables): &(Volume, Vec<LabelTables>), nth: usize) -> Labels<'_> {
+    Labels { voxels: labels.scalars(), tables: &tables[nth] }
 }
 
-/// The labels that a request names by their file.
-fn labels(volume: &Volume, told: &ResolvedLabels) -> Result<(Volume, LabelTables), Failure> {
+/// The labels that a request names by their file, and the tables of its looks.
+fn labels(volume: &Volume, resolved: &ResolvedRequest) -> Result<Option<(Volume, Vec<LabelTables>)>, Failure> {
+    let Some(told) = &resolved.look.labels else { return Ok(None) };
     let labels = decode::load(Path::new(&told.volume), &Limits::default())
         .map_err(|error| Failure::of(&told.volume)(error.to_string()))?;
     told.suit(volume, &labels).map_err(refused)?;
-    let tables = told.tables(volume, &labels);
-    Ok((labels, tables))
+    let told = resolved.looks().filter_map(|look| look.labels.as_ref());
+    let tables = told.map(|told| told.tables(volume, &labels)).collect();
+    Ok(Some((labels, tables)))
 }
 
 /// A mesh that a request names by its file, of a format that the file's name ends with.

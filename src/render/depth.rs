@@ -95,6 +95,11 @@ impl SceneDepth {
         Self::new(view, values.par_iter().enumerate().map(distance).collect())
     }
 
+    /// Those of all pixels, mm, row by row from the top.
+    pub fn distances(&self) -> &[f32] {
+        &self.distances
+    }
+
     /// The distance of a pixel, mm.
     #[inline(always)]
     pub fn at(&self, x: usize, y: usize) -> f32 {

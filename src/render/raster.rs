@@ -35,13 +35,14 @@ pub struct Solid {
 /// What a view sees of meshes.
 #[derive(Debug)]
 pub struct Drawn {
+    /// Of the meshes, and of what ended the view's rays before: the nearer of both.
     pub depth: SceneDepth,
     /// Over the background: transparent where that is.
     pub picture: Image,
 }
 
 /// Draws `solids` as `view` sees them, lit and faded as the settings say for `volume`. Neither clip regions nor near and far planes cut
-/// them.
+/// them; what ends the view's rays ([`View::depth`]) hides what of them is behind it.
 ///
 /// # Errors
 /// [`RenderError::Cancelled`].
@@ -78,7 +79,10 @@ pub fn draw(
     };
     let channels = settings.background.channels();
     let ground = settings.background.behind().to_array().map(|component| (component * 255.0).round() as u8);
-    let mut distances = vec![f32::INFINITY; size[0] * size[1]];
+    let mut distances = match view.depth() {
+        Some(scene) => scene.distances().to_vec(),
+        None => vec![f32::INFINITY; size[0] * size[1]],
+    };
     let mut pixels = ground[..channels].repeat(size[0] * size[1]);
     let rows = size[0] * BAND_HEIGHT;
     let out = distances.par_chunks_mut(rows).zip(pixels.par_chunks_mut(rows * channels));
@@ -95,7 +99,7 @@ pub fn draw(
         }
         let out = distances.iter_mut().zip(pixels.chunks_exact_mut(channels));
         for (n, (hit, (distance, pixel))) in hits.iter().zip(out).enumerate() {
-            let Some(hit) = hit else { continue };
+            let Some(hit) = hit.as_ref().filter(|hit| hit.distance as f32 <= *distance) else { continue };
             *distance = hit.distance as f32;
             pixel[..3].copy_from_slice(&shade(hit, centre(n % size[0], first + n / size[0])));
             if let Some(alpha) = pixel.get_mut(3) {

@@ -160,7 +160,7 @@ impl Asked {
         let arrived = Instant::now();
         let request = request.with_format(format)?;
         let frame = request.resolve(volume.volume(), &volume.presets, &app.config.image.limits())?;
-        let labels = frame.labels.as_ref().map(|named| {
+        let labels = frame.look.labels.as_ref().map(|named| {
             let labels = app.store.loaded(&named.volume).map_err(|problem| match problem {
                 Problem::NoSuchVolume(_) => RequestError::refused("/labels/volume", "there is no such volume").into(),
                 other => other,
@@ -196,12 +196,6 @@ impl Asked {
 
     /// The same frame merged with a scene: rays end at its geometry, and its picture is behind the volume.
     async fn within(mut self, app: &App, parts: Parts, request: &RenderRequest) -> Result<Self, Problem> {
-        if !self.solids.is_empty() {
-            return Err(Problem::refused(
-                "/geometry",
-                "does not go with a depth buffer; upload what it shows, or draw the meshes into it",
-            ));
-        }
         let matrices = request.matrices();
         let view = self.frame.view.clone();
         let made = app.pool.admit()?.run(move |_| parts.scene(&view, matrices)).await?.0?;
@@ -269,37 +263,39 @@ impl Asked {
                 }
             });
         }
-        let labels = match self.labels.as_ref().zip(self.frame.labels.as_ref()) {
-            None => None,
-            Some((labels, told)) => {
-                let tables = app.store.classified.labels(ticket, &self.volume, labels, told).await?;
-                Some((Arc::clone(labels), tables))
-            }
-        };
+        let mut tables = vec![];
+        for told in self.frame.looks().map(|look| look.labels.as_ref()) {
+            tables.push(match self.labels.as_ref().zip(told) {
+                None => None,
+                Some((labels, told)) => Some(app.store.classified.labels(ticket, &self.volume, labels, told).await?),
+            });
+        }
         let shadow = match &self.frame.shadows {
             None => None,
             Some(told) => {
-                let labels = labels.as_ref().zip(self.frame.labels.as_ref());
-                let labels = labels.map(|((volume, tables), told)| (volume, told, tables));
+                let labels = self.labels.as_ref().zip(self.frame.look.labels.as_ref()).zip(tables[0].as_ref());
+                let labels = labels.map(|((volume, told), tables)| (volume, told, tables));
                 Some(app.store.classified.shadows(ticket, &self.volume, &self.frame.look, labels, told).await?)
             }
         };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
-        let (picture, solids) = (self.picture.clone(), Arc::clone(&self.solids));
+        let (picture, solids, labels) = (self.picture.clone(), Arc::clone(&self.solids), self.labels.clone());
         let job = move |cancel: &render::Cancel| {
             let prepared = volume.level(frame.level());
-            let labels = labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.volume().scalars(), tables });
             let scenes: Vec<_> = frame
                 .looks()
-                .zip(&classified)
+                .zip(classified.iter().zip(&tables))
                 .enumerate()
-                .map(|(nth, (look, classified))| Scene {
+                .map(|(nth, (look, (classified, tables)))| Scene {
                     prepared,
                     transfer: &look.transfer,
                     classification: classified.as_ref().map(|c| &*c.classification),
                     encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
-                    labels,
+                    labels: labels
+                        .as_ref()
+                        .zip(tables.as_ref())
+                        .map(|(labels, tables)| Labels { voxels: labels.volume().scalars(), tables }),
                     // Not in regions that look otherwise.
                     shadow: shadow.as_deref().filter(|_| nth == 0),
                 })

@@ -1,5 +1,7 @@
 //! Segmentations: another volume by which voxels look otherwise.
 
+use serde_json::Value;
+
 use crate::service::{Running, header, problem, write_ball};
 
 const FRAME: &str = "/v1/volumes/ball/frame";
@@ -77,8 +79,52 @@ async fn labels_are_hidden_coloured_and_shown_by_other_transfer_functions() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn in_regions_labels_look_as_they_say_and_other_voxels_as_the_region() {
+    let service = running().await;
+    let points = |color: &str, opacity: f64| {
+        serde_json::json!({"points": [
+            {"value": 50, "opacity": 0, "color": color}, {"value": 150, "opacity": opacity, "color": color}
+        ]})
+    };
+    // The upper half of the ball; label 1 is on the left of the picture.
+    let region = |more: Value| {
+        let mut region = serde_json::json!({"plane": {"point": [11.5, 11.5, 11.5], "normal": [0, 0, 1]}});
+        json_patch::merge(&mut region, &more);
+        region
+    };
+    for algorithm in ["classified", "fast-classification", "raycast"] {
+        let ask = async |looks: Value, region: Value| {
+            let request = serde_json::json!({
+                "image": {"width": 32, "height": 32, "format": "raw"}, "shading": false, "algorithm": algorithm,
+                "transfer_function": points("#ff0000", 0.9), "labels": {"volume": "halves", "looks": looks},
+                "regions": [region],
+            });
+            let response = service.post(FRAME, &request.to_string()).await;
+            assert_eq!(response.status(), 200, "{request}");
+            let pixels = response.bytes().await.unwrap();
+            let at = |x: usize, y: usize| <[u8; 3]>::try_from(&pixels[3 * (32 * y + x)..][..3]).unwrap();
+            // Left and right, above and below.
+            [at(12, 12), at(19, 12), at(12, 19), at(19, 19)].map(|pixel| pixel.map(|channel| channel / 128 * 255))
+        };
+        let [red, green, blue, nothing] = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [0; 3]];
+        let in_green = region(serde_json::json!({"transfer_function": points("#00ff00", 0.9)}));
+        let none = serde_json::json!([]);
+        assert_eq!(ask(none, in_green.clone()).await, [green, green, red, red], "{algorithm}");
+        let in_blue = serde_json::json!([{"label": 1, "transfer_function": points("#0000ff", 0.9)}]);
+        assert_eq!(ask(in_blue.clone(), in_green.clone()).await, [blue, green, blue, red], "{algorithm}");
+        let hidden = serde_json::json!([{"label": 1, "visible": false}]);
+        assert_eq!(ask(hidden, in_green).await, [nothing, green, nothing, red], "{algorithm}");
+        let clear = region(serde_json::json!({"opacity": 0}));
+        assert_eq!(ask(in_blue, clear).await, [nothing, nothing, blue, red], "{algorithm}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn labels_that_do_not_fit_are_refused() {
     let service = running().await;
+    let (look, region) = (r#"{"label": 1}"#, r#"{"sphere": {"center": [0, 0, 0], "radius": 1}}"#);
+    let (looks, regions) = ([look; 63].join(", "), [region; 4].join(", "));
+    let many = format!(r#""labels": {{"volume": "halves", "looks": [{looks}]}}, "regions": [{regions}]"#);
     for (fields, pointer) in [
         (r#""labels": {"volume": "none"}"#, "/labels/volume"),
         (r#""labels": {"volume": "small"}"#, "/labels/volume"),
@@ -101,9 +147,18 @@ async fn labels_that_do_not_fit_are_refused() {
         (r#""labels": {"volume": "halves"}, "algorithm": "preintegrated""#, "/algorithm"),
         (r#""labels": {"volume": "halves"}, "blend": "maximum""#, "/labels"),
         (r#""labels": {"volume": "halves"}, "level": 1"#, "/level"),
-        (r#""labels": {"volume": "halves"}, "regions": [{"sphere": {"center": [0, 0, 0], "radius": 1}}]"#, "/regions"),
+        (
+            r#""labels": {"volume": "halves"}, "regions": [{"sphere": {"center": [0, 0, 0], "radius": 1}, "blend": "maximum"}]"#,
+            "/regions/0/blend",
+        ),
+        (
+            r#""labels": {"volume": "halves"}, "regions": [{"sphere": {"center": [0, 0, 0], "radius": 1}, "transfer_function": "ct-vessels"}]"#,
+            "/regions/0/transfer_function",
+        ),
+        (&many, "/labels/looks"),
     ] {
         let problem = problem(service.post(FRAME, &format!("{{{fields}}}")).await).await;
-        assert_eq!((&problem["status"], &problem["errors"][0]["pointer"]), (&422.into(), &pointer.into()), "{fields}");
+        let told = (&problem["status"], &problem["errors"][0]["pointer"]);
+        assert_eq!(told, (&422.into(), &pointer.into()), "{fields}");
     }
 }

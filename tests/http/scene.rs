@@ -129,6 +129,41 @@ async fn the_volume_is_blended_over_the_scenes_picture() {
     }
 }
 
+/// A square of 12 mm across in front of, in or behind the ball.
+#[tokio::test(flavor = "multi_thread")]
+async fn of_meshes_and_the_clients_scene_the_nearer_is_seen() {
+    let service = Running::start("").await;
+    let square = "v 5 0 5\nv 18 0 5\nv 18 0 18\nv 5 0 18\nf 1 2 3 4\n";
+    let upload = service.request(Method::POST, "/v1/meshes").header("content-type", "model/obj").body(square);
+    let id = upload.send().await.unwrap().json::<Value>().await.unwrap()["id"].clone();
+    let (request, depth) = request();
+    let blue = png(png::ColorType::Rgb, png::BitDepth::Eight, &[0, 0, 200], SIZE);
+    let ask = async |mesh: f64, scene: f64, quality: &str| {
+        let mut request = request.clone();
+        request["quality"] = quality.into();
+        // The eye is at y = 11.5 - 60.
+        let pose = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, mesh - 48.5, 0, 1]);
+        request["geometry"] = json!([{"mesh": id, "color": "#00ff00", "pose": pose}]);
+        let parts = [
+            ("request", "application/json", request.to_string().into_bytes()),
+            ("depth", "application/octet-stream", floats(depth(scene))),
+            ("color", "image/png", blue.clone()),
+        ];
+        let [red, green, blue] = middle(post(&service, &parts).await).await[..] else { panic!("three channels") };
+        [red, green, blue]
+    };
+    for quality in ["draft", "standard", "high"] {
+        // Both in front of the ball.
+        assert_eq!(ask(40.0, 45.0, quality).await, [0, 255, 0], "{quality}");
+        assert_eq!(ask(45.0, 40.0, quality).await, [0, 0, 200], "{quality}");
+        // The nearer one within it: half of the ball is before it, and only that is.
+        let [red, green, none] = ask(60.0, 80.0, quality).await;
+        assert!(red > 50 && green > 50 && none < 3, "{quality}: {red} {green} {none}");
+        let [same, none, blue] = ask(80.0, 60.0, quality).await;
+        assert!(same.abs_diff(red) < 3 && blue > 50 && none < 3, "{quality}: {red} {same} {none} {blue}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn parts_that_do_not_fit_are_refused_by_name() {
     let service = Running::start("[http]\nmax_scene_bytes = 20000").await;

@@ -28,6 +28,9 @@ pub use labels::ResolvedLabels;
 /// Half of what shows in one voxel on an 8-bit display.
 const MIN_OPACITY: f64 = 0.002;
 
+/// Tables of a frame's labels at most: 1 MiB each, for volumes of 16 bits.
+const MAX_LABEL_TABLES: usize = 256;
+
 /// How large an image may be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageLimits {
@@ -43,8 +46,6 @@ pub struct ResolvedRequest {
     pub view: View,
     /// Of the volume; of its background too.
     pub look: Look,
-    /// A segmentation by which voxels look otherwise; the look's transfer function is then the union of all.
-    pub labels: Option<ResolvedLabels>,
     /// Where it looks otherwise, in order: of two that hold a point the later one is meant.
     pub regions: Vec<RegionLook>,
     /// Where a light casts them.
@@ -61,6 +62,8 @@ pub struct Look {
     pub settings: Settings,
     /// Its `opacity_distance` is told.
     pub transfer: TransferFunction,
+    /// A segmentation by which voxels look otherwise, the same for all of a frame's looks; the transfer function is then the union of all.
+    pub labels: Option<ResolvedLabels>,
     /// Voxels at or below it count as transparent (for [`Algorithm::Classified`]).
     pub min_opacity: f64,
     /// Of the volume's pyramid; the same for all of a frame's looks.
@@ -129,15 +132,17 @@ impl RenderRequest {
         self.suits(volume)?;
         let view = self.view(volume)?;
         let level = self.level(volume, &view)?;
-        let mut look = self.look(volume, presets, level, None)?;
-        let labels =
-            self.labels.as_ref().map(|labels| self.by_label(labels, &mut look, volume, presets)).transpose()?;
+        let look = self.look(volume, presets, level, None)?;
         render::check(volume, &view, &look.settings).map_err(refused)?;
         let shown = self.regions.iter().enumerate().map(|(index, region)| {
             let look = self.look(volume, presets, level, Some((index, region)))?;
             render::check(volume, &view, &look.settings).map_err(refused)?;
             let of_voxels = matches!(look.settings.algorithm, Algorithm::Classified | Algorithm::FastClassification)
                 || volume.colors().is_some() && look.settings.algorithm != Algorithm::Raycast;
+            if self.labels.is_some() && region.projection.is_some() {
+                let detail = "projections do not go with labels";
+                return Err(RequestError::refused(&format!("/regions/{index}/blend"), detail));
+            }
             if of_voxels && region.projection.is_some() != self.projection.is_some() {
                 let detail = "projections beside what is composited go with preintegrated (of scalars) and raycast";
                 return Err(RequestError::refused(&format!("/regions/{index}/blend"), detail));
@@ -154,7 +159,7 @@ impl RenderRequest {
             holes: self.cut_out.clone(),
         });
         let geometry = self.geometry.clone();
-        Ok(ResolvedRequest { view, look, labels, regions, shadows, geometry, format: self.format })
+        Ok(ResolvedRequest { view, look, regions, shadows, geometry, format: self.format })
     }
 
     /// How the volume looks, in a region if there is one.
@@ -172,9 +177,8 @@ impl RenderRequest {
         let region = region.map(|(_, region)| region);
         let (mut transfer, shaded) = fitted(told, presets, &place)?;
         transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
-        if let Some(region) = region {
-            transfer.points.iter_mut().for_each(|point| point.opacity *= region.opacity);
-        }
+        let opacity = region.map_or(1.0, |region| region.opacity);
+        transfer.points.iter_mut().for_each(|point| point.opacity *= opacity);
         let shading = match region.and_then(|region| region.shading.as_ref()).unwrap_or(&self.shading) {
             ShadingChoice::Automatic => shaded.then(Shading::default),
             ShadingChoice::Off => None,
@@ -195,7 +199,12 @@ impl RenderRequest {
             sampling: self.sampling.unwrap_or_default(),
             ..defaults
         };
-        Ok(Look { settings, transfer, min_opacity: self.min_opacity.unwrap_or(MIN_OPACITY), level })
+        let min_opacity = self.min_opacity.unwrap_or(MIN_OPACITY);
+        let look = Look { settings, transfer, labels: None, min_opacity, level };
+        match &self.labels {
+            Some(labels) => look.by_label(labels, (&place, opacity), volume, presets),
+            None => Ok(look),
+        }
     }
 
     fn keep_to(&self, limits: &ImageLimits) -> Result<(), RequestError> {
@@ -229,15 +238,30 @@ impl RenderRequest {
             for (pointer, there, detail) in [
                 ("/labels", volume.colors().is_some(), "belong to volumes of scalars"),
                 ("/labels", self.projection.is_some(), "belong to the blend composite"),
-                ("/regions", !self.regions.is_empty(), "do not go with labels"),
                 ("/level", self.level.is_some_and(|level| level > 0), "labels have level 0 only"),
             ] {
                 if there {
                     return Err(RequestError::refused(pointer, detail));
                 }
             }
+            self.keep_to_tables()?;
         }
         Ok(())
+    }
+
+    /// Refuses more tables of labels, around regions and in each of them, than there may be.
+    fn keep_to_tables(&self) -> Result<(), RequestError> {
+        let looks = self.labels.as_ref().map_or(0, |labels| labels.looks.len());
+        let tables = (looks + 1) * (self.regions.len() + 1);
+        if tables <= MAX_LABEL_TABLES {
+            return Ok(());
+        }
+        let detail = format!(
+            "expected at most {MAX_LABEL_TABLES} looks in all, around regions and in each of them, got {tables}: those \
+             of {looks} labels and of other voxels, in {} regions",
+            self.regions.len()
+        );
+        Err(RequestError::refused("/labels/looks", detail))
     }
 
     /// True where voxels look each as they are, and not by their scalars alone.
@@ -365,9 +389,8 @@ impl ResolvedRequest {
         let regions = self.regions.iter().map(|RegionLook { shape, look }| {
             format!(" {shape:?} {}", look.as_ref().map_or("nothing".into(), Look::canonical))
         });
-        let labels = self.labels.as_ref().map_or(String::new(), |labels| format!(" {labels:?}"));
         let look = self.look.canonical();
-        format!("{frame} {look}{}{labels} {:?}", regions.collect::<String>(), self.geometry)
+        format!("{frame} {look}{} {:?}", regions.collect::<String>(), self.geometry)
     }
 }
 
@@ -408,12 +431,13 @@ impl Look {
         let shown = match settings.blend {
             Blend::Projection(..) => format!("{:?}", settings.blend),
             Blend::Composite => format!(
-                "early_ray_termination {:?} {:?} {:?} {:?} {:?}",
+                "early_ray_termination {:?} {:?} {:?} {:?} {:?} {:?}",
                 settings.early_ray_termination,
                 settings.depth_cueing,
                 settings.shading,
                 settings.sampling,
-                self.transfer
+                self.transfer,
+                self.labels
             ),
         };
         format!("{samples} {shown}")

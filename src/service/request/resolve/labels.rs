@@ -5,7 +5,7 @@ use crate::classify::TransferFunction;
 use crate::classify::labels::{LabelLook, LabelTables, union};
 use crate::classify::presets::FittedPresets;
 use crate::render::Algorithm;
-use crate::service::request::{LabelRequest, LabelsRequest, RenderRequest, RequestError};
+use crate::service::request::{LabelRequest, LabelsRequest, RequestError};
 use crate::volume::Volume;
 
 /// How voxels look by their labels.
@@ -52,40 +52,44 @@ impl ResolvedLabels {
     }
 }
 
-impl RenderRequest {
-    /// The looks of labels; that of the volume becomes one for all.
+impl Look {
+    /// The same by label: its transfer function, which was told at `place`, becomes one for all labels. What labels say themselves has so
+    /// much of its opacity.
     pub(super) fn by_label(
-        &self,
+        mut self,
         labels: &LabelsRequest,
-        look: &mut Look,
+        (place, opacity): (&str, f64),
         volume: &Volume,
         presets: &FittedPresets,
-    ) -> Result<ResolvedLabels, RequestError> {
+    ) -> Result<Self, RequestError> {
+        let others = self.transfer;
         let of_label = |(index, told): (usize, &LabelRequest)| {
-            let mut transfer = match &told.transfer {
-                None => look.transfer.clone(),
-                Some(transfer) => fitted(transfer, presets, &format!("/labels/looks/{index}/transfer_function"))?.0,
+            let (mut transfer, factor) = match &told.transfer {
+                None => (others.clone(), 1.0),
+                Some(transfer) => {
+                    (fitted(transfer, presets, &format!("/labels/looks/{index}/transfer_function"))?.0, opacity)
+                }
             };
             transfer.opacity_distance = Some(transfer.reference_length(volume.smallest_spacing()));
             for point in &mut transfer.points {
-                point.opacity *= told.opacity;
+                point.opacity *= told.opacity * factor;
                 point.color = told.color.unwrap_or(point.color);
             }
             Ok(LabelLook { label: told.label, transfer })
         };
         let looks = labels.looks.iter().enumerate().map(of_label).collect::<Result<Vec<_>, RequestError>>()?;
-        let others = look.transfer.clone();
         let detail = "expected one without gradient_opacity, as labels need";
         if !others.gradient_opacity.is_empty() {
-            return Err(RequestError::refused("/transfer_function", detail));
+            return Err(RequestError::refused(place, detail));
         }
         if let Some(index) = looks.iter().position(|look| !look.transfer.gradient_opacity.is_empty()) {
             return Err(RequestError::refused(&format!("/labels/looks/{index}/transfer_function"), detail));
         }
         // What is skipped is transparent for every label.
-        look.transfer = union(looks.iter().map(|look| &look.transfer).chain([&others]), volume.smallest_spacing());
-        let min_opacity = if look.settings.algorithm == Algorithm::Raycast { 0.0 } else { look.min_opacity };
-        look.min_opacity = 0.0;
-        Ok(ResolvedLabels { volume: labels.volume.clone(), looks, others, min_opacity })
+        self.transfer = union(looks.iter().map(|look| &look.transfer).chain([&others]), volume.smallest_spacing());
+        let min_opacity = if self.settings.algorithm == Algorithm::Raycast { 0.0 } else { self.min_opacity };
+        self.min_opacity = 0.0;
+        self.labels = Some(ResolvedLabels { volume: labels.volume.clone(), looks, others, min_opacity });
+        Ok(self)
     }
 }
