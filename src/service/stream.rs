@@ -45,8 +45,8 @@ const LEAST_REST: Duration = Duration::from_millis(20);
 /// And at the most: more than they leave on a slow screen, of 30 frames/s.
 const MOST_REST: Duration = Duration::from_millis(40);
 
-/// Of a refinement that takes less nothing is seen before it: it is there 150 ms after the last request.
-const QUICK: Duration = Duration::from_millis(120);
+/// A refinement that takes less comes without coarser ones before it, which would only keep it waiting.
+const QUICK: Duration = Duration::from_millis(150);
 
 /// A frame of movement that takes longer may be dropped for a newer one.
 const SLOW: Duration = Duration::from_millis(100);
@@ -484,7 +484,7 @@ mod tests {
         let due = [Quality::High, Quality::Standard];
         let after = |ms: Option<u64>| refinement(&due, ms.map(Duration::from_millis));
         assert_eq!(
-            [None, Some(119), Some(120)].map(after).map(Option::unwrap),
+            [None, Some(149), Some(150)].map(after).map(Option::unwrap),
             [Quality::Standard, Quality::High, Quality::Standard]
         );
         assert_eq!(refinement(&[], None), None);
