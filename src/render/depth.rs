@@ -548,8 +548,11 @@ fn bounds(numbers: &[f32]) -> [f32; 2] {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
-    use crate::render::{Camera, Orbit};
+    use crate::render::{Camera, Orbit, Projection};
+    use crate::volume::phantom;
 
     fn view() -> View {
         View::new(&Camera::Orbit(Orbit::default()), DVec3::ZERO, 10.0, 8, 6).unwrap()
@@ -568,6 +571,67 @@ mod tests {
         assert_eq!(depth.between(DVec2::new(3.9, 3.5)), 12.0, "before the tear");
         assert_eq!(depth.between(DVec2::new(4.1, 3.5)), 92.0, "behind it");
         assert_eq!(depth.between(DVec2::new(-5.0, 0.5)), 0.0, "beyond the picture is as on its border");
+    }
+
+    proptest! {
+        #[test]
+        fn surfaces_go_on_where_four_neighbours_along_all_sides_say_so(
+            width in 1usize..7,
+            steps in prop::collection::vec((0..4, -2.0f32..3.0), 1..40),
+        ) {
+            let mut distance = 10.0;
+            let mut distances: Vec<_> = steps.iter().map(|&(kind, step)| {
+                distance += if kind == 1 { 20.0 * step } else { step };
+                if kind == 0 { f32::INFINITY } else { distance }
+            }).collect();
+            distances.resize(steps.len().next_multiple_of(width), distance);
+            let height = distances.len() / width;
+            let at = |x: isize, y: isize| {
+                distances[y.clamp(0, height as isize - 1) as usize * width + x.clamp(0, width as isize - 1) as usize]
+            };
+            let told = smooth(&distances, width, 0..height);
+            for (pixel, told) in told.into_iter().enumerate() {
+                let (x, y) = ((pixel % width) as isize, (pixel / width) as isize);
+                let row = |y: isize| goes_on([-1, 0, 1, 2].map(|n| at(x + n, y)));
+                let column = |x: isize| goes_on([-1, 0, 1, 2].map(|n| at(x, y + n)));
+                let expected = row(y) && row(y + 1) && column(x) && column((x + 1).min(width as isize - 1));
+                prop_assert_eq!(told, expected, "pixel {} of {:?}", pixel, distances);
+            }
+        }
+    }
+
+    #[test]
+    fn rays_that_may_meet_something_are_all_that_do() {
+        let volume = phantom::head();
+        for (projection, azimuth, elevation) in [
+            (Projection::Parallel, 20.0, 15.0),
+            (Projection::Parallel, 100.0, 70.0),
+            (Projection::Perspective, 200.0, -30.0),
+        ] {
+            let orbit = Orbit { projection, azimuth, elevation, zoom: 1.5, ..Orbit::default() };
+            let view = View::new(&Camera::Orbit(orbit), volume.centre(), volume.radius(), 60, 50).unwrap();
+            // A patch within the picture, one on its border, and a pixel alone.
+            for (xs, ys) in [(20..31, 10..25), (50..60, 0..9), (7..8, 40..41)] {
+                let mut distances = vec![f32::INFINITY; 60 * 50];
+                for (y, x) in ys.flat_map(|y| xs.clone().map(move |x| (y, x))) {
+                    let ray = view.ray(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+                    distances[60 * y + x] = ((volume.centre() - ray.origin).dot(ray.direction) + x as f64 / 7.0) as f32;
+                }
+                let view = view.clone().ending_at(Arc::new(SceneDepth::new(&view, distances)));
+                for factorization in Factorization::parts(&view, &volume).unwrap() {
+                    let warp = InverseWarp::of(&view, &volume, &factorization).unwrap();
+                    let [width, height] = factorization.size;
+                    let mut met = 0;
+                    for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
+                        let at = warp.image_point(DVec2::new(u as f64, v as f64));
+                        let end = at.map_or(warp.beyond(), |at| warp.end_at(at));
+                        assert_eq!(warp.end(u, v), end, "{projection:?} pixel ({u}, {v})");
+                        met += usize::from(end < warp.beyond());
+                    }
+                    assert!(met > 0 && met < width * height / 2, "{met}");
+                }
+            }
+        }
     }
 
     #[test]
