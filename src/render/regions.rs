@@ -18,7 +18,7 @@ use std::time::Instant;
 use glam::{DAffine3, DVec2, DVec3, Vec4};
 use rayon::prelude::*;
 
-use super::depth::{self, Hole, InverseWarp, Limits, Stretch};
+use super::depth::{Hole, InverseWarp, Limits, SeenScanline, Stretch};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::view::{Clip, cut};
@@ -249,13 +249,16 @@ impl Layers {
         Limits::new(self.scanlines.len(), |v| {
             let Scanline { pieces, holes } = &self.scanlines[v];
             let seen =
-                |&&(u, piece, _): &&(u32, Which, Stretch)| piece == which && image.opacity(u as usize, v) < termination;
-            let first = pieces.iter().find(seen).map_or(0, |piece| piece.0 as usize);
-            let end = pieces.iter().rfind(seen).map_or(0, |piece| piece.0 as usize + 1);
+                pieces.iter().filter(|piece| piece.1 == which && image.opacity(piece.0 as usize, v) < termination);
+            let seen: Vec<_> = seen.collect();
+            let pixels = match &seen[..] {
+                [] => 0..0,
+                [first, ..] => first.0 as usize..seen[seen.len() - 1].0 as usize + 1,
+            };
             let holes = holes.iter().filter(|(of, _)| *of == which).map(|(_, hole)| *hole).collect();
-            depth::Scanline::new(Stretch::NOTHING, first..end, holes, |from, to| {
-                for &(u, _, stretch) in pieces.iter().filter(seen) {
-                    let at = u as usize - first;
+            SeenScanline::new(Stretch::NOTHING, pixels.clone(), holes, |from, to| {
+                for &&(u, _, stretch) in &seen {
+                    let at = u as usize - pixels.start;
                     (from[at], to[at]) = (stretch.from, stretch.to);
                 }
             })

@@ -196,8 +196,8 @@ struct Session {
     moving: Quality,
     /// Qualities that the newest request is still to be rendered at, the next one last.
     due: Vec<Quality>,
-    /// What the last frame that needed no better one took.
-    refined: Option<Duration>,
+    /// The quality of the last frame that no better one followed, and what it took.
+    refined: Option<(Quality, Duration)>,
     making: Option<Making>,
     /// A slow frame was dropped, and none has arrived since.
     dropped: bool,
@@ -357,11 +357,11 @@ impl Session {
     fn answer(&mut self, outcome: Outcome) -> Message {
         let Making { step, begun, .. } = self.making.take().expect("something was made");
         self.dropped = false;
-        if step.last && !step.moving {
-            self.refined = Some(begun.elapsed());
-        }
         match outcome {
             Ok((asked, made)) => {
+                if step.last && !step.moving {
+                    self.refined = Some((step.quality, begun.elapsed()));
+                }
                 self.sent += 1;
                 metrics::streamed();
                 frame(self.sent, &step, &asked, &made)
@@ -386,10 +386,11 @@ fn rest(between: Duration) -> Duration {
     (between + between / 2).clamp(LEAST_REST, MOST_REST)
 }
 
-/// Which of the qualities that are due, the next one last, follows in rest, by what the best one took the last time.
-fn refinement(due: &[Quality], took: Option<Duration>) -> Option<Quality> {
-    let quick = took.is_some_and(|took| took < QUICK);
-    if quick { due.first() } else { due.last() }.copied()
+/// Which of the qualities that are due, the next one last, follows in rest, by what the last one to be the best took.
+fn refinement(due: &[Quality], refined: Option<(Quality, Duration)>) -> Option<Quality> {
+    let &best = due.first()?;
+    let quick = refined.is_some_and(|(quality, took)| quality == best && took < QUICK);
+    if quick { Some(best) } else { due.last().copied() }
 }
 
 /// The qualities that a request is rendered at, the first one last: that of movement, then each better one up
@@ -482,11 +483,11 @@ mod tests {
     #[test]
     fn the_best_quality_comes_at_once_where_it_is_quick() {
         let due = [Quality::High, Quality::Standard];
-        let after = |ms: Option<u64>| refinement(&due, ms.map(Duration::from_millis));
-        assert_eq!(
-            [None, Some(149), Some(150)].map(after).map(Option::unwrap),
-            [Quality::Standard, Quality::High, Quality::Standard]
-        );
+        let after = |quality, ms| refinement(&due, Some((quality, Duration::from_millis(ms))));
+        assert_eq!(refinement(&due, None), Some(Quality::Standard));
+        assert_eq!(after(Quality::High, 149), Some(Quality::High));
+        assert_eq!(after(Quality::High, 150), Some(Quality::Standard));
+        assert_eq!(after(Quality::Standard, 10), Some(Quality::Standard), "another quality's time says nothing");
         assert_eq!(refinement(&[], None), None);
     }
 

@@ -234,7 +234,7 @@ impl RenderRequest {
             let detail = "pre-integration is of scalars: colours and labels are rendered by classified, fast-classification and raycast";
             return Err(RequestError::refused("/algorithm", detail));
         }
-        if self.labels.is_some() {
+        if let Some(labels) = &self.labels {
             for (pointer, there, detail) in [
                 ("/labels", volume.colors().is_some(), "belong to volumes of scalars"),
                 ("/labels", self.projection.is_some(), "belong to the blend composite"),
@@ -244,14 +244,13 @@ impl RenderRequest {
                     return Err(RequestError::refused(pointer, detail));
                 }
             }
-            self.keep_to_tables()?;
+            self.keep_to_tables(labels.looks.len())?;
         }
         Ok(())
     }
 
-    /// Refuses more tables of labels, around regions and in each of them, than there may be.
-    fn keep_to_tables(&self) -> Result<(), RequestError> {
-        let looks = self.labels.as_ref().map_or(0, |labels| labels.looks.len());
+    /// Refuses more tables, of so many labels and other voxels, around regions and in each of them, than there may be.
+    fn keep_to_tables(&self, looks: usize) -> Result<(), RequestError> {
         let tables = (looks + 1) * (self.regions.len() + 1);
         if tables <= MAX_LABEL_TABLES {
             return Ok(());

@@ -1,0 +1,207 @@
+//! The inverse warp of a depth buffer (Bruckner et al. 2003), read backwards.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use glam::{DMat3, DVec2, DVec3};
+
+use super::limits::bounds;
+use super::{Limits, SceneDepth, SeenScanline, Stretch, goes_on};
+use crate::render::factorization::Factorization;
+use crate::render::view::{Rays, View};
+use crate::render::warp::inside;
+use crate::volume::Volume;
+
+/// No pixel is so far from a picture, pixels.
+const BEYOND: f64 = 1e12;
+
+/// The inverse warp of a depth buffer: what of it the pixels of an intermediate image meet.
+#[derive(Debug)]
+pub struct InverseWarp<'a> {
+    depth: &'a SceneDepth,
+    factorization: &'a Factorization,
+    image_from_sheared: DMat3,
+    along: AlongRays,
+    size: DVec2,
+    limits: Arc<Limits>,
+}
+
+impl<'a> InverseWarp<'a> {
+    /// `None` where the view has no depth buffer.
+    pub fn of(view: &'a View, volume: &Volume, factorization: &'a Factorization) -> Option<Self> {
+        let depth = view.depth()?;
+        let mut inverse = Self {
+            depth,
+            factorization,
+            image_from_sheared: factorization.sheared_from_image.inverse(),
+            along: AlongRays::new(view, volume, factorization),
+            size: DVec2::new(depth.width as f64, depth.height as f64),
+            limits: Arc::default(),
+        };
+        let elsewhere = Stretch { from: f32::NEG_INFINITY, to: inverse.beyond() };
+        inverse.limits = Arc::new(Limits::new(factorization.size[1], |v| {
+            let met = inverse.met_by(v);
+            SeenScanline::new(elsewhere, met.clone(), vec![], |_, to| {
+                for (u, to) in met.zip(to) {
+                    if let Some(at) = inverse.image_point(DVec2::new(u as f64, v as f64)) {
+                        *to = inverse.end_at(at);
+                    }
+                }
+            })
+        }));
+        Some(inverse)
+    }
+
+    /// The pixels of scanline `v` that may meet something.
+    fn met_by(&self, v: usize) -> Range<usize> {
+        let Some([mut low, mut high]) = self.depth.met else { return 0..0 };
+        // What touches the picture's border goes on beyond it; and a pixel around is not told apart.
+        for axis in 0..2 {
+            low[axis] = if low[axis] > 0.0 { low[axis] - 1.0 } else { -BEYOND };
+            high[axis] = if high[axis] < self.size[axis] { high[axis] + 1.0 } else { BEYOND };
+        }
+        let start = self.image_from_sheared * DVec3::new(0.0, v as f64, 1.0);
+        inside([low, high], start, self.image_from_sheared.x_axis, self.factorization.size[0])
+    }
+
+    /// Where rays end that go on behind the volume.
+    fn beyond(&self) -> f32 {
+        self.factorization.dims[2] as f32
+    }
+
+    /// Where the ray of pixel (u, v) ends, in slices from the front one on: a slice before or behind the volume at most.
+    pub fn end(&self, u: usize, v: usize) -> f32 {
+        self.limits.at(u, v).to
+    }
+
+    /// The final image's coordinates of a place on the intermediate one; `None` where that is behind the eye.
+    #[inline(always)]
+    pub fn image_point(&self, sheared: DVec2) -> Option<DVec2> {
+        let homogeneous = self.image_from_sheared * sheared.extend(1.0);
+        if self.factorization.is_parallel() {
+            return Some(homogeneous.truncate());
+        }
+        (homogeneous.z > 0.0).then(|| homogeneous.truncate() / homogeneous.z)
+    }
+
+    /// Where the ray through a point of the final image ends, as [`Self::end`] tells it.
+    #[inline(always)]
+    pub fn end_at(&self, at: DVec2) -> f32 {
+        let at = at.clamp(DVec2::ZERO, self.size);
+        let distance = self.depth.between(at);
+        if distance == f32::INFINITY {
+            return self.beyond();
+        }
+        let end = self.factorization.position(self.along.index(at, distance.into()));
+        (end as f32).clamp(-1.0, self.beyond())
+    }
+
+    /// What is seen in front of it.
+    pub fn limits(&self) -> Arc<Limits> {
+        Arc::clone(&self.limits)
+    }
+
+    /// The pixels u of scanline v, but for the last ones, where what ends the rays is torn among those from (u, v) to (u + 1, v + 1): by more
+    /// than `least` slices.
+    pub fn torn(&self, v: usize, least: f32) -> impl Iterator<Item = usize> {
+        let [width, height] = self.factorization.size;
+        // Of -1, 0, 1, 2 scanlines from that one on.
+        let rows = [0, 1, 2, 3].map(|n| self.limits.scanline((v + n).saturating_sub(1).min(height - 1)));
+        let [_, upper, lower, _] = rows;
+        let met = [upper.told(), lower.told()].into_iter().filter(|told| !told.is_empty());
+        let (first, end) = met.fold((width, 0), |(first, end), met| (first.min(met.start), end.max(met.end)));
+        let cells = first.saturating_sub(1)..end.min(width - 1);
+        let apart = cells.filter(move |&u| {
+            let [low, high] = bounds(&[upper.at(u), upper.at(u + 1), lower.at(u), lower.at(u + 1)].map(|at| at.to));
+            high - low > least
+        });
+        apart.filter(move |u| {
+            let get = |du: usize, row: usize| rows[row].at((u + du).saturating_sub(1).min(width - 1)).to;
+            let row = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(m, n)));
+            let column = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(n, m)));
+            !(row(1) && row(2) && column(1) && column(2))
+        })
+    }
+}
+
+/// Where points along the rays of a view are along a volume's principal axis, in voxels.
+#[derive(Clone, Copy, Debug)]
+struct AlongRays {
+    rays: Rays,
+    /// Of the point or direction that a ray is told by at pixel (0, 0), and from a pixel to the next along x and y.
+    corner: f64,
+    dx: f64,
+    dy: f64,
+    /// Of a millimetre along parallel rays, or of the eye.
+    other: f64,
+}
+
+impl AlongRays {
+    fn new(view: &View, volume: &Volume, factorization: &Factorization) -> Self {
+        let index_from_world = volume.world_from_index().inverse();
+        let axis = factorization.principal_axis;
+        let point = |p| index_from_world.transform_point3(p)[axis];
+        let vector = |v| index_from_world.transform_vector3(v)[axis];
+        let rays = *view.rays();
+        match rays {
+            Rays::Parallel { corner, dx, dy, direction } => {
+                Self { rays, corner: point(corner), dx: vector(dx), dy: vector(dy), other: vector(direction) }
+            }
+            Rays::Perspective { eye, corner, dx, dy } => {
+                Self { rays, corner: vector(corner), dx: vector(dx), dy: vector(dy), other: point(eye) }
+            }
+        }
+    }
+
+    /// Of the point at a distance (mm) along the ray of pixel coordinates.
+    fn index(&self, at: DVec2, distance: f64) -> f64 {
+        let told = self.corner + self.dx * at.x + self.dy * at.y;
+        match self.rays {
+            Rays::Parallel { .. } => told + self.other * distance,
+            Rays::Perspective { corner, dx, dy, .. } => {
+                self.other + told * (distance / (corner + dx * at.x + dy * at.y).length())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::{Camera, Orbit, Projection};
+    use crate::volume::phantom;
+
+    #[test]
+    fn rays_that_may_meet_something_are_all_that_do() {
+        let volume = phantom::head();
+        for (projection, azimuth, elevation) in [
+            (Projection::Parallel, 20.0, 15.0),
+            (Projection::Parallel, 100.0, 70.0),
+            (Projection::Perspective, 200.0, -30.0),
+        ] {
+            let orbit = Orbit { projection, azimuth, elevation, zoom: 1.5, ..Orbit::default() };
+            let view = View::new(&Camera::Orbit(orbit), volume.centre(), volume.radius(), 60, 50).unwrap();
+            // A patch within the picture, one on its border, and a pixel alone.
+            for (xs, ys) in [(20..31, 10..25), (50..60, 0..9), (7..8, 40..41)] {
+                let mut distances = vec![f32::INFINITY; 60 * 50];
+                for (y, x) in ys.flat_map(|y| xs.clone().map(move |x| (y, x))) {
+                    let ray = view.ray(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+                    distances[60 * y + x] = ((volume.centre() - ray.origin).dot(ray.direction) + x as f64 / 7.0) as f32;
+                }
+                let view = view.clone().ending_at(Arc::new(SceneDepth::new(&view, distances)));
+                for factorization in Factorization::parts(&view, &volume).unwrap() {
+                    let warp = InverseWarp::of(&view, &volume, &factorization).unwrap();
+                    let [width, height] = factorization.size;
+                    let mut met = 0;
+                    for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
+                        let at = warp.image_point(DVec2::new(u as f64, v as f64));
+                        let end = at.map_or(warp.beyond(), |at| warp.end_at(at));
+                        assert_eq!(warp.end(u, v), end, "{projection:?} pixel ({u}, {v})");
+                        met += usize::from(end < warp.beyond());
+                    }
+                    assert!(met > 0 && met < width * height / 2, "{met}");
+                }
+            }
+        }
+    }
+}
