@@ -8,7 +8,7 @@
 //! become stairs nor silhouettes become sheets.
 //!
 //! What comes of it is where each ray ends, in slices ([`Limits`]); the kernels then treat it as one more clip plane
-//! ([`Factorization::left`]). Rays in image order ask the buffer itself.
+//! ([`super::factorization::Factorization::left`]). Rays in image order ask the buffer itself.
 
 mod inverse_warp;
 mod limits;
