@@ -117,13 +117,11 @@ pub struct Holes(u32);
 impl Holes {
     /// All that there may be.
     pub const ALL: Self = Self(u32::MAX);
-}
 
-impl Clipping {
-    /// True where anything may.
+    /// True where there is one.
     #[inline(always)]
-    pub fn is_any(&self) -> bool {
-        self.by_planes || self.by_limits || self.holes != Holes(0)
+    pub fn is_any(self) -> bool {
+        self.0 != 0
     }
 }
 

@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use self::lanes::{FRACTION_BITS, LANES, Lanes, Portable, Rgb, Rgba};
 use super::depth::InverseWarp;
 use super::factorization::Factorization;
-use super::intermediate::IntermediateImage;
+use super::intermediate::{IntermediateImage, write_pixel};
 use super::simd::{self, Kernel};
 use super::{Background, Cancel, Image, RenderError};
 
@@ -67,14 +67,24 @@ pub fn warp(
     cancel: &Cancel,
 ) -> Result<(), RenderError> {
     let row_bytes = width * background.channels();
-    out.par_chunks_mut(row_bytes * BAND_HEIGHT).enumerate().try_for_each(|(band, rows)| {
-        if cancel.is_cancelled() {
-            return Err(RenderError::Cancelled);
-        }
-        simd::dispatch(Band { parts, background, width, first: band * BAND_HEIGHT, rows });
-        Ok(())
-    })?;
-    torn::mend(parts, background, width, out);
+    let height = out.len() / row_bytes;
+    let mut fill = || {
+        out.par_chunks_mut(row_bytes * BAND_HEIGHT).enumerate().try_for_each(|(band, rows)| {
+            if cancel.is_cancelled() {
+                return Err(RenderError::Cancelled);
+            }
+            simd::dispatch(Band { parts, background, width, first: band * BAND_HEIGHT, rows });
+            Ok(())
+        })
+    };
+    if parts.iter().all(|part| part.depth.is_none()) {
+        return fill();
+    }
+    let (filled, mended) = rayon::join(fill, || torn::mended(parts, [width, height]));
+    filled?;
+    for ([x, y], pixel) in mended {
+        write_pixel(&pixel, &mut out[y * row_bytes + x * background.channels()..][..background.channels()]);
+    }
     Ok(())
 }
 

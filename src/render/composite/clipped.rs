@@ -4,11 +4,17 @@ use std::ops::Range;
 
 use super::{WORD, below};
 use crate::render::factorization::{Clipping, Factorization};
+use crate::render::intermediate::Band;
 
 /// Pixels of a scanline, 64 a word.
 #[derive(Clone, Debug, Default)]
 pub struct ClippedPixels {
+    /// The first scanline of the band, and by scanline how far from the front it is known which rays have ended.
+    first: usize,
+    ended: Vec<Option<f32>>,
     clipping: Clipping,
+    /// True where rays of the scanline end or begin between the slices.
+    by_limits: bool,
     /// Those that are open and of which something is left.
     open: Vec<u64>,
     /// Those of them of which not all is left.
@@ -18,6 +24,14 @@ pub struct ClippedPixels {
 }
 
 impl ClippedPixels {
+    /// For a band of scanlines, none of whose rays has ended yet.
+    #[inline(always)]
+    pub fn enter_band(&mut self, band: &Band<'_>) {
+        self.first = band.first;
+        self.ended.clear();
+        self.ended.resize(band.height(), None);
+    }
+
     /// For some scanlines between two slices in the order of the walk; false where nothing of them is left.
     #[inline(always)]
     pub fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
@@ -26,18 +40,44 @@ impl ClippedPixels {
         clipping.is_some()
     }
 
-    /// True where pixels of them must be clipped ([`Self::find`]); else they are as they are.
+    /// For scanline `v`, one of those entered, where nothing is behind those of its rays that have ended: their pixels are not `open` any more.
+    /// True where others must be clipped ([`Self::find`]); else they are as they are.
     #[inline(always)]
-    pub fn is_any(&self) -> bool {
-        self.clipping.is_any()
+    pub fn enter_scanline(
+        &mut self,
+        factorization: &Factorization,
+        v: usize,
+        slices: [f64; 2],
+        open: &mut [u64],
+    ) -> bool {
+        self.by_limits = false;
+        if let Some(limits) = factorization.limits().filter(|_| self.clipping.by_limits) {
+            let positions @ [first, _] = slices.map(|k| factorization.position(k) as f32);
+            let ended = &mut self.ended[v - self.first];
+            if limits.end_between(v, *ended, first) {
+                for (word, open) in open.iter_mut().enumerate().filter(|(_, open)| **open != 0) {
+                    *open &= !limits.ended(v, word, first);
+                }
+            }
+            *ended = Some(first);
+            self.by_limits = limits.tells_apart(v, positions);
+        }
+        self.is_any()
     }
 
-    /// Clips the pixels of scanline `v`, one of those entered, that are set in `open`. False where none is left.
+    /// True where pixels of the scanline must be clipped.
+    #[inline(always)]
+    pub fn is_any(&self) -> bool {
+        let Clipping { by_planes, holes, .. } = self.clipping;
+        by_planes || holes.is_any() || self.by_limits
+    }
+
+    /// Clips the pixels of scanline `v`, the one entered, that are set in `open`. False where none is left.
     #[inline(always)]
     pub fn find(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2], open: &[u64]) -> bool {
         self.open.resize(open.len(), 0);
         self.cut.resize(open.len(), 0);
-        let Clipping { by_planes, holes, by_limits } = self.clipping;
+        let Clipping { by_planes, holes, .. } = self.clipping;
         let everything = [0..usize::MAX, 0..usize::MAX];
         let [some, whole] = if by_planes { factorization.clipped_pixels(v, slices) } else { everything };
         self.holes.clear();
@@ -53,7 +93,7 @@ impl ClippedPixels {
                     open &= !within(all, word);
                     cut |= within(some, word);
                 }
-                if let Some(limits) = factorization.limits().filter(|_| by_limits) {
+                if let Some(limits) = factorization.limits().filter(|_| self.by_limits) {
                     let [some, whole] = limits.seen(v, word, positions);
                     open &= some;
                     cut |= !whole;

@@ -76,6 +76,7 @@ impl VoxelLattice for Scaled {
     #[inline(always)]
     fn enter_band(factorization: &Factorization, band: &Band<'_>, scratch: &mut Scratch) {
         factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
+        scratch.clipped.enter_band(band);
     }
 
     #[inline(always)]
@@ -116,6 +117,7 @@ impl VoxelLattice for Scaled {
             }
             let row = v - band.first;
             let mut scanline = band.scanline(row);
+            scratch.clipped.enter_scanline(f, v, f.interval(k), scanline.non_opaque);
             let at = Place { factorization: f, along_u, us: us.clone(), first, v, k };
             if !scratch.find(&at, &scanline) {
                 continue;

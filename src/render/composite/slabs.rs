@@ -121,6 +121,7 @@ impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, 
         for kept in &mut scratch.kept {
             kept.pixels.clear();
         }
+        scratch.clipped.enter_band(band);
         if L::LENGTHS {
             self.factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
         }
@@ -176,6 +177,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             let row = v - band.first;
             let mut scanline = band.scanline(row);
             let Scratch { front, back, lengths, inside, pixels, clipped, fresh, kept, buffer } = &mut *scratch;
+            clipped.enter_scanline(self.factorization, v, slab.ends, scanline.non_opaque);
             if !self.find(slab, v, &scanline, inside, clipped, pixels) {
                 continue;
             }

@@ -105,7 +105,9 @@ impl VoxelLattice for Unit {
     }
 
     #[inline(always)]
-    fn enter_band(_: &Factorization, _: &Band<'_>, _: &mut Self::Scratch) {}
+    fn enter_band(_: &Factorization, band: &Band<'_>, (_, _, clipped): &mut Self::Scratch) {
+        clipped.enter_band(band);
+    }
 
     #[inline(always)]
     fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
@@ -158,6 +160,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 self.source.prefetch_place(j, farther);
             }
             let mut scanline = band.scanline(v - band.first);
+            let clips = clipped.enter_scanline(f, v, slices, scanline.non_opaque);
             let upper = match below {
                 Some((at, scanline)) if at == j => scanline,
                 _ => self.source.scanline(j, k),
@@ -166,7 +169,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             let mut open =
                 Open { words: scanline.non_opaque, first: first_u, between: fraction_u > 0.0, length: f.dims[0] };
             below = lower.map(|lower| (j + 1, lower));
-            if clipped.is_any() {
+            if clips {
                 let touches = self.source.touches(&upper, &open)
                     || lower.as_ref().is_some_and(|lower| self.source.touches(lower, &open));
                 if !touches || !clipped.find(f, v, slices, scanline.non_opaque) {

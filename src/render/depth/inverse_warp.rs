@@ -101,16 +101,16 @@ impl<'a> InverseWarp<'a> {
         Arc::clone(&self.limits)
     }
 
-    /// The pixels u of scanline v, but for the last ones, where what ends the rays is torn among those from (u, v) to (u + 1, v + 1): by more
-    /// than `least` slices.
-    pub fn torn(&self, v: usize, least: f32) -> impl Iterator<Item = usize> {
+    /// The pixels u of scanline v, some of `us` and but for the last ones, where what ends the rays is torn among those from (u, v) to
+    /// (u + 1, v + 1): by more than `least` slices.
+    pub fn torn(&self, v: usize, us: Range<usize>, least: f32) -> impl Iterator<Item = usize> {
         let [width, height] = self.factorization.size;
         // Of -1, 0, 1, 2 scanlines from that one on.
         let rows = [0, 1, 2, 3].map(|n| self.limits.scanline((v + n).saturating_sub(1).min(height - 1)));
         let [_, upper, lower, _] = rows;
         let met = [upper.told(), lower.told()].into_iter().filter(|told| !told.is_empty());
         let (first, end) = met.fold((width, 0), |(first, end), met| (first.min(met.start), end.max(met.end)));
-        let cells = first.saturating_sub(1)..end.min(width - 1);
+        let cells = us.start.max(first.saturating_sub(1))..us.end.min(end).min(width - 1);
         let apart = cells.filter(move |&u| {
             let [low, high] = bounds(&[upper.at(u), upper.at(u + 1), lower.at(u), lower.at(u + 1)].map(|at| at.to));
             high - low > least

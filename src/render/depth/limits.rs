@@ -12,10 +12,15 @@ use crate::render::factorization::Meeting;
 /// Pixels of a word of masks.
 const WORD: usize = 64;
 
+/// Scanlines of which it is told together what is seen.
+const GROUP: usize = 16;
+
 /// What is seen of the rays of an intermediate image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Limits {
     scanlines: Vec<SeenScanline>,
+    /// Of every so many scanlines: what is seen of any pixel is within the first, and of every pixel all of the second.
+    groups: Vec<[Stretch; 2]>,
 }
 
 /// What is seen of the rays of a scanline.
@@ -25,7 +30,7 @@ pub struct SeenScanline {
     elsewhere: Stretch,
     first_word: usize,
     words: Vec<Word>,
-    /// From where to where, by pixel of these words; `from` is infinite where nothing is seen.
+    /// From where to where, by pixel of these words; [`Stretch::NOTHING`] where nothing is seen.
     from: Vec<f32>,
     to: Vec<f32>,
     /// In the order of pixels and, within one, of its ray.
@@ -33,6 +38,12 @@ pub struct SeenScanline {
     /// What is seen of any pixel is within `some`, and of every pixel all of `whole`.
     some: Stretch,
     whole: Stretch,
+    /// Of pixels that see something: where the last of them begins to.
+    begun: f32,
+    /// Of those that end before those elsewhere: where the first and where the last does.
+    ends: Stretch,
+    /// True where pixels see nothing at all.
+    blind: bool,
 }
 
 /// From where to where.
@@ -61,7 +72,7 @@ struct Word {
 
 impl SeenScanline {
     /// With holes, in order, in what is seen of `pixels`, whose stretches `fill` writes; of other pixels `elsewhere` is seen, and they may be
-    /// as many as it takes.
+    /// as many as it takes; that is nothing, or all there is to behind the volume.
     pub fn new(
         elsewhere: Stretch,
         pixels: Range<usize>,
@@ -88,6 +99,20 @@ impl SeenScanline {
             Word { bounds, holes: theirs, within }
         };
         let words: Vec<_> = from.chunks_exact(WORD).zip(to.chunks_exact(WORD)).enumerate().map(word).collect();
+        let (mut begun, mut ends, mut blind) = (f32::NEG_INFINITY, Stretch::NOTHING, elsewhere.sees_nothing());
+        if !blind {
+            begun = elsewhere.from;
+        }
+        for (&from, &to) in from.iter().zip(&to) {
+            let nothing = Stretch { from, to }.sees_nothing();
+            blind |= nothing;
+            if !nothing {
+                begun = begun.max(from);
+            }
+            if !nothing && (to < elsewhere.to || elsewhere.sees_nothing()) {
+                ends = Stretch { from: ends.from.min(to), to: ends.to.max(to) };
+            }
+        }
         let (mut some, mut whole) = (elsewhere, elsewhere);
         for Word { bounds: [least, greatest], holes, .. } in &words {
             some = Stretch { from: some.from.min(least.from), to: some.to.max(greatest.to) };
@@ -96,7 +121,7 @@ impl SeenScanline {
                 whole = Stretch::NOTHING;
             }
         }
-        Self { elsewhere, first_word, words, from, to, holes, some, whole }
+        Self { elsewhere, first_word, words, from, to, holes, some, whole, begun, ends, blind }
     }
 
     /// What is seen of pixel `u`, but for holes.
@@ -118,6 +143,12 @@ impl SeenScanline {
 impl Stretch {
     pub const NOTHING: Self = Self { from: f32::INFINITY, to: f32::NEG_INFINITY };
 
+    /// True where it holds nothing.
+    #[inline(always)]
+    fn sees_nothing(&self) -> bool {
+        self.from == f32::INFINITY
+    }
+
     /// Whether some of it lies between two positions.
     #[inline(always)]
     pub fn meets(&self, [first, last]: [f32; 2]) -> bool {
@@ -134,7 +165,16 @@ impl Stretch {
 impl Limits {
     /// What scanlines see, so many of them.
     pub fn new(height: usize, scanline: impl Fn(usize) -> SeenScanline + Sync + Send) -> Self {
-        Self { scanlines: (0..height).into_par_iter().map(scanline).collect() }
+        let scanlines: Vec<_> = (0..height).into_par_iter().map(scanline).collect();
+        let group = |scanlines: &[SeenScanline]| {
+            let both = scanlines.iter().map(|scanline| [scanline.some, scanline.whole]);
+            both.reduce(|[some, whole], [other, another]| {
+                let some = Stretch { from: some.from.min(other.from), to: some.to.max(other.to) };
+                [some, Stretch { from: whole.from.max(another.from), to: whole.to.min(another.to) }]
+            })
+        };
+        let groups = scanlines.chunks(GROUP).filter_map(group).collect();
+        Self { scanlines, groups }
     }
 
     /// True where nothing is seen at all.
@@ -162,13 +202,50 @@ impl Limits {
         theirs.filter(move |hole| hole.u as usize == u).map(|hole| hole.stretch)
     }
 
-    /// Whether what lies on some scanlines between two positions is seen.
+    /// Whether pixels of scanline `v` are to be told apart between two positions ([`Self::seen`]), those aside that have
+    /// [ended](Self::ended) by then.
+    #[inline(always)]
+    pub fn tells_apart(&self, v: usize, [first, last]: [f32; 2]) -> bool {
+        let SeenScanline { holes, begun, ends, .. } = &self.scanlines[v];
+        *begun > first || !holes.is_empty() || (ends.from < last && ends.to > first)
+    }
+
+    /// Whether rays of scanline `v` end behind a position, not after a later one; behind no position, also those of which nothing is seen.
+    #[inline(always)]
+    pub fn end_between(&self, v: usize, behind: Option<f32>, until: f32) -> bool {
+        let SeenScanline { ends, blind, .. } = &self.scanlines[v];
+        match behind {
+            Some(behind) => ends.from <= until && ends.to > behind,
+            None => *blind || ends.from <= until,
+        }
+    }
+
+    /// Of the 64 pixels of `word` of scanline `v`, those of which nothing is seen behind a position.
+    #[inline(always)]
+    pub fn ended(&self, v: usize, word: usize, position: f32) -> u64 {
+        let SeenScanline { elsewhere, first_word, words, to, .. } = &self.scanlines[v];
+        let at = word.wrapping_sub(*first_word);
+        let [least, greatest] = words.get(at).map_or([elsewhere; 2], |word| word.bounds.each_ref());
+        if greatest.to <= position {
+            return u64::MAX;
+        }
+        let mut ended = 0;
+        if least.to <= position {
+            for (four, to) in to[at * WORD..][..WORD].chunks_exact(4).enumerate() {
+                let before = Vec4::from_slice(to).cmple(Vec4::splat(position));
+                ended |= u64::from(before.bitmask()) << (4 * four);
+            }
+        }
+        ended
+    }
+
+    /// Whether what may lie on some scanlines between two positions is seen.
     #[inline(always)]
     pub fn meets(&self, vs: Range<usize>, between: [f32; 2]) -> Meeting {
         let (mut some, mut all) = (false, true);
-        for scanline in &self.scanlines[vs] {
-            some |= scanline.some.meets(between);
-            all &= scanline.whole.holds(between);
+        for [of_any, of_all] in &self.groups[vs.start / GROUP..vs.end.div_ceil(GROUP)] {
+            some |= of_any.meets(between);
+            all &= of_all.holds(between);
         }
         if all {
             Meeting::Inside
@@ -230,4 +307,79 @@ pub(super) fn bounds(numbers: &[f32]) -> [f32; 2] {
         greatest = if number > greatest { number } else { greatest };
     }
     [least, greatest]
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// What ends at a place, begins there, or does not at all, and holes.
+    fn scanline() -> impl Strategy<Value = (bool, usize, Vec<(u8, u8, u8)>)> {
+        (any::<bool>(), 0usize..150, prop::collection::vec((0u8..5, 0u8..12, 0u8..12), 0..100))
+    }
+
+    const BEYOND: f32 = 12.0;
+
+    proptest! {
+        /// As a walk does it: rays that have ended are put away, and where no others are told apart, all of them are whole.
+        #[test]
+        fn a_walk_sees_what_is_seen_of_each_pixel(
+            scanlines in prop::collection::vec(scanline(), 1..40),
+            steps in prop::collection::vec((0.3f32..2.5, any::<bool>()), 1..12),
+        ) {
+            let limits = Limits::new(scanlines.len(), |v| {
+                let (nothing_elsewhere, first, pixels) = &scanlines[v];
+                let elsewhere = Stretch { from: f32::NEG_INFINITY, to: BEYOND };
+                let holes = (*first as u32..).zip(pixels).filter(|(_, (kind, ..))| *kind == 4);
+                let holes = holes.map(|(u, (_, at, length))| {
+                    let stretch = Stretch { from: (*at).into(), to: f32::from(at + length) };
+                    Hole { u, stretch }
+                });
+                let fill = |from: &mut [f32], to: &mut [f32]| {
+                    for ((from, to), (kind, begins, ends)) in from.iter_mut().zip(to).zip(pixels) {
+                        match kind {
+                            0 => (*from, *to) = (f32::NEG_INFINITY, BEYOND),
+                            1 => (*from, *to) = (f32::INFINITY, f32::NEG_INFINITY),
+                            2 => (*from, *to) = (f32::NEG_INFINITY, (*ends).into()),
+                            _ => (*from, *to) = ((*begins).into(), f32::from(begins + ends)),
+                        }
+                    }
+                };
+                let elsewhere = if *nothing_elsewhere { Stretch::NOTHING } else { elsewhere };
+                SeenScanline::new(elsewhere, *first..first + pixels.len(), holes.collect(), fill)
+            });
+            let (mut open, mut known) = (vec![[u64::MAX; 4]; scanlines.len()], vec![None; scanlines.len()]);
+            let mut position = -1.0;
+            for (step, visited) in steps {
+                let between = [position, f32::min(position + step, BEYOND)];
+                position += step;
+                if !visited || between[0] >= between[1] {
+                    continue;
+                }
+                for (v, open) in open.iter_mut().enumerate() {
+                    let met = limits.meets(v..v + 1, between);
+                    if limits.end_between(v, known[v], between[0]) {
+                        (0..4).for_each(|word| open[word] &= !limits.ended(v, word, between[0]));
+                    }
+                    known[v] = Some(between[0]);
+                    let apart = limits.tells_apart(v, between);
+                    for u in 0..4 * WORD {
+                        let [some, whole] =
+                            if apart { limits.seen(v, u / WORD, between) } else { [u64::MAX; 2] };
+                        let [is_open, some, whole] =
+                            [open[u / WORD], some, whole].map(|bits| bits >> (u % WORD) & 1 == 1);
+                        let at = limits.at(u, v);
+                        let hidden = limits.holes(u, v).any(|hole| hole.holds(between));
+                        let clear = !limits.holes(u, v).any(|hole| hole.meets(between));
+                        let expected = [at.meets(between) && !hidden, at.holds(between) && clear];
+                        prop_assert_eq!([is_open && some, is_open && whole], expected, "({}, {}) {:?}", u, v, between);
+                        prop_assert!(met != Meeting::Outside || !expected[0]);
+                        prop_assert!(met != Meeting::Inside || expected[1]);
+                    }
+                }
+            }
+        }
+    }
 }

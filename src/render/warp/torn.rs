@@ -9,8 +9,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::Part;
-use crate::render::Background;
-use crate::render::intermediate::{Fixed, write_pixel};
+use crate::render::intermediate::Fixed;
 
 /// By so much a place on the picture may be off, pixels.
 const ROUNDING: f64 = 1e-6;
@@ -18,24 +17,22 @@ const ROUNDING: f64 = 1e-6;
 /// Ends that lie no farther apart, in slices, are the same.
 const SAME: f32 = 1.0;
 
-/// Warps the pixels anew that lie between rays with other ends than theirs.
-pub fn mend(parts: &[Part<'_>], background: &Background, width: usize, out: &mut [u8]) {
-    let channels = background.channels();
-    let size = [width, out.len() / (width * channels)];
-    for part in parts {
+/// The pixels of a picture of `size` that lie between rays with other ends than theirs, warped anew.
+pub fn mended(parts: &[Part<'_>], size: [usize; 2]) -> Vec<([usize; 2], Fixed)> {
+    let of_part = |part: &Part<'_>| {
         let rows = 0..part.image.size()[1].saturating_sub(1);
-        let mended: Vec<_> = rows.into_par_iter().flat_map_iter(|v| part.mended(v, size)).collect();
-        for ([x, y], pixel) in mended {
-            write_pixel(&pixel, &mut out[(y * width + x) * channels..][..channels]);
-        }
-    }
+        rows.into_par_iter().flat_map_iter(|v| part.mended(v, size)).collect::<Vec<_>>()
+    };
+    parts.iter().flat_map(of_part).collect()
 }
 
 impl Part<'_> {
     /// Those between scanlines `v` and `v + 1`, of a picture of `size` pixels.
     fn mended(&self, v: usize, size: [usize; 2]) -> Vec<([usize; 2], Fixed)> {
         let Some(depth) = self.depth else { return vec![] };
-        let pixels = depth.torn(v, SAME).flat_map(|u| {
+        // Where nothing was drawn a mixture is what all of them are.
+        let drawn = self.image.drawn(v, v + 1);
+        let pixels = depth.torn(v, drawn.start.saturating_sub(1)..drawn.end, SAME).flat_map(|u| {
             let [xs, ys] = self.over([u, v], size);
             ys.flat_map(move |y| xs.clone().map(move |x| [x, y]))
                 .filter_map(move |at| Some((at, self.mended_pixel(at, [u, v])?)))
