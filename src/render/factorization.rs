@@ -125,6 +125,14 @@ impl Holes {
     }
 }
 
+impl Clipping {
+    /// True where anything may.
+    #[inline(always)]
+    pub fn is_any(&self) -> bool {
+        self.by_planes || self.by_limits || self.holes.is_any()
+    }
+}
+
 /// Where pixels meet a slice: (u, v) at voxel coordinates `offset + scale (u, v)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lattice {

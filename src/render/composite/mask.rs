@@ -95,6 +95,14 @@ impl Mask {
         any != 0
     }
 
+    /// Becomes the pixels of both.
+    #[inline(always)]
+    pub fn union(&mut self, one: &Self, other: &Self) {
+        for ((word, one), other) in self.words.iter_mut().zip(&one.words).zip(&other.words) {
+            *word = one | other;
+        }
+    }
+
     /// Becomes `other`.
     #[inline(always)]
     pub fn copy_from(&mut self, other: &Self) {

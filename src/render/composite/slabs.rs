@@ -5,8 +5,8 @@
 //!
 //! 1. *Which pixels?* Those that pass a cell in which something may show and are not opaque
 //!    (`mask.rs`).
-//! 2. *Sample* the back slice at those pixels; the front slice's samples are the last slab's back ones
-//!    and wait in a buffer slice, but for pixels that had no work there (`samples.rs`).
+//! 2. *Sample* the back slice at those pixels and at those of the next slab, which are found one slab ahead; the front slice's samples
+//!    are the last slab's back ones and wait in a buffer slice (`samples.rs`). So a slice is read once.
 //! 3. *Look up and blend*: the slab by its two scalars, lit by the mean light of both samples,
 //!    its length and density corrected, "over".
 //!
@@ -66,18 +66,25 @@ pub struct Scratch<R> {
     /// Those over which a slab is inside the volume.
     inside: Mask,
     pixels: Mask,
+    /// Those over which the slab behind is.
+    inside_ahead: Mask,
     clipped: ClippedPixels,
     fresh: Mask,
     kept: Vec<Kept>,
     buffer: Buffer,
 }
 
-/// Which pixels of a scanline have a sample in the buffer slice.
+/// What a slab left of a scanline for the one behind it.
 #[derive(Clone, Debug)]
 struct Kept {
-    /// The slab that left them.
+    /// The slab that left it.
     slab: usize,
-    pixels: Mask,
+    /// Pixels with a sample in the buffer slice, if there are any.
+    is_sampled: bool,
+    sampled: Mask,
+    /// Whether the slab behind has work, where that was asked, and for which of them, unless this one has made them opaque.
+    found: Option<bool>,
+    ahead: Mask,
 }
 
 /// Where a slab lies.
@@ -109,9 +116,19 @@ impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, 
             lengths: vec![],
             inside: Mask::new(width),
             pixels: Mask::new(width),
+            inside_ahead: Mask::new(width),
             clipped: ClippedPixels::default(),
             fresh: Mask::new(width),
-            kept: vec![Kept { slab: 0, pixels: Mask::new(width) }; height],
+            kept: vec![
+                Kept {
+                    slab: 0,
+                    is_sampled: false,
+                    sampled: Mask::new(width),
+                    found: None,
+                    ahead: Mask::new(width)
+                };
+                height
+            ],
             buffer: Buffer::new(self.buffer, L::buffer_length(self.factorization), width, height),
         }
     }
@@ -119,17 +136,21 @@ impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, 
     #[inline(always)]
     fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
         for kept in &mut scratch.kept {
-            kept.pixels.clear();
+            (kept.is_sampled, kept.found) = (false, None);
         }
         scratch.clipped.enter_band(band);
         if L::LENGTHS {
             self.factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
         }
-        for number in self.slabs() {
+        let slabs = self.slabs();
+        let mut placed = slabs.clone().next().map(|number| self.place(number));
+        while let Some(slab) = placed {
+            let number = slab.number;
             if number % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
-            self.slab(band, &self.place(number), scratch);
+            placed = Some(number + 1).filter(|next| slabs.contains(next)).map(|next| self.place(next));
+            self.slab(band, &slab, placed.as_ref(), scratch);
             scratch.buffer.next_slab();
         }
         Ok(())
@@ -164,46 +185,104 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     }
 
     /// One slab into one band.
+    ///
+    /// Its back is sampled at the pixels of the `next` slab too. (Where the next slab is clipped, its pixels are found when it is its turn,
+    /// and those that are new are sampled at its front; so are those of the first slab.)
     #[inline(always)]
-    fn slab(&self, band: &mut Band<'_>, slab: &Slab<'_, L::Placement>, scratch: &mut Scratch<L::Rows>) {
+    fn slab(
+        &self,
+        band: &mut Band<'_>,
+        slab: &Slab<'_, L::Placement>,
+        next: Option<&Slab<'_, L::Placement>>,
+        scratch: &mut Scratch<L::Rows>,
+    ) {
+        let f = self.factorization;
         let rows = band.first..band.first + band.height();
+        let of_band = |scanlines: &Range<usize>| scanlines.start.max(rows.start)..scanlines.end.min(rows.end);
+        let vs = of_band(&slab.scanlines);
+        let shown = !vs.is_empty() && scratch.clipped.enter(f, vs.clone(), slab.ends);
+        let vs = if shown { vs } else { rows.end..rows.start };
+        let next = next.map(|next| (next, of_band(&next.scanlines))).filter(|(next, vs)| {
+            !vs.is_empty() && f.clipping(vs.clone(), next.ends).is_some_and(|clipping| !clipping.is_any())
+        });
+        let (mut all, mut us) = (vs.clone(), slab.pixels.clone());
         scratch.inside.clear();
-        scratch.inside.add(slab.pixels.clone());
-        let vs = slab.scanlines.start.max(rows.start)..slab.scanlines.end.min(rows.end);
-        if vs.is_empty() || !scratch.clipped.enter(self.factorization, vs.clone(), slab.ends) {
-            return;
+        scratch.inside.add(us.clone());
+        scratch.inside_ahead.clear();
+        if let Some((next, vs)) = &next {
+            scratch.inside_ahead.add(next.pixels.clone());
+            all = all.start.min(vs.start)..all.end.max(vs.end);
+            us = us.start.min(next.pixels.start)..us.end.max(next.pixels.end);
         }
-        for v in vs {
+        for v in all {
             let row = v - band.first;
             let mut scanline = band.scanline(row);
-            let Scratch { front, back, lengths, inside, pixels, clipped, fresh, kept, buffer } = &mut *scratch;
-            clipped.enter_scanline(self.factorization, v, slab.ends, scanline.non_opaque);
-            if !self.find(slab, v, &scanline, inside, clipped, pixels) {
+            let Scratch { front, back, lengths, inside, pixels, inside_ahead, clipped, fresh, kept, buffer } =
+                &mut *scratch;
+            let Kept { slab: left_by, is_sampled, sampled, found, ahead } = &mut kept[row];
+            let known = std::mem::replace(left_by, slab.number) + 1 == slab.number;
+            let any = vs.contains(&v) && {
+                clipped.enter_scanline(f, v, slab.ends, scanline.non_opaque);
+                match found.filter(|_| known) {
+                    None => self.find(slab, v, &scanline, inside, clipped, pixels),
+                    Some(false) => false,
+                    Some(true) => {
+                        pixels.copy_from(ahead);
+                        pixels.keep_within(scanline.non_opaque, inside)
+                    }
+                }
+            };
+            let next = next.as_ref().filter(|(_, vs)| vs.contains(&v));
+            *found = next.map(|(next, _)| self.mark(next, v, &scanline, inside_ahead, ahead));
+            let any_ahead = *found == Some(true);
+            let was_sampled = std::mem::replace(is_sampled, any || any_ahead) && known;
+            if !*is_sampled {
                 continue;
             }
-            let kept = &mut kept[row];
             let samples = buffer.row(row, [&slab.front, &slab.back].map(|p| L::buffer_base(&p.placement)));
-            let missing = if kept.slab + 1 == slab.number {
-                fresh.difference(pixels, &kept.pixels)
-            } else {
-                fresh.copy_from(pixels);
-                true
-            };
-            if missing {
-                let out = (&mut *samples.front, samples.front_base);
-                L::sample(front, self.voxels, self.table, &slab.front, (&slab.pixels, v), fresh, out);
+            if any {
+                let missing = if was_sampled {
+                    fresh.difference(pixels, sampled)
+                } else {
+                    fresh.copy_from(pixels);
+                    true
+                };
+                if missing {
+                    let out = (&mut *samples.front, samples.front_base);
+                    L::sample(front, self.voxels, self.table, &slab.front, (&slab.pixels, v), fresh, out);
+                }
+            }
+            match (any, any_ahead) {
+                (true, true) => sampled.union(pixels, ahead),
+                (true, false) => sampled.copy_from(pixels),
+                (false, _) => sampled.copy_from(ahead),
             }
             let out = (&mut *samples.back, samples.back_base);
-            L::sample(back, self.voxels, self.table, &slab.back, (&slab.pixels, v), pixels, out);
-            let lengths = if L::LENGTHS { &lengths[row * self.factorization.size[0]..] } else { &[] };
-            self.blend(&mut scanline, (v, clipped), slab, pixels, &samples, lengths);
-            samples.keep(pixels);
-            kept.slab = slab.number;
-            kept.pixels.copy_from(pixels);
+            L::sample(back, self.voxels, self.table, &slab.back, (&us, v), sampled, out);
+            if any {
+                let lengths = if L::LENGTHS { &lengths[row * f.size[0]..] } else { &[] };
+                self.blend(&mut scanline, (v, clipped), slab, pixels, &samples, lengths);
+            }
+            samples.keep(sampled);
         }
     }
 
-    /// Finds the pixels of scanline `v` to work on; false where there is none.
+    /// Finds the pixels of scanline `v` to work on, as if nothing were clipped; false where there is none.
+    #[inline(always)]
+    fn mark(
+        &self,
+        slab: &Slab<'_, L::Placement>,
+        v: usize,
+        scanline: &ScanlineMut<'_>,
+        inside: &Mask,
+        pixels: &mut Mask,
+    ) -> bool {
+        let ends = [&slab.front.placement, &slab.back.placement];
+        L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels)
+            && pixels.keep_within(scanline.non_opaque, inside)
+    }
+
+    /// The same of those that clipping leaves.
     #[inline(always)]
     fn find(
         &self,
@@ -214,15 +293,10 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         clipped: &mut ClippedPixels,
         pixels: &mut Mask,
     ) -> bool {
-        let ends = [&slab.front.placement, &slab.back.placement];
-        if !L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels)
-            || !pixels.keep_within(scanline.non_opaque, inside)
-        {
-            return false;
-        }
-        !clipped.is_any()
-            || clipped.find(self.factorization, v, slab.ends, scanline.non_opaque)
-                && pixels.keep(clipped.open(), &(0..usize::MAX))
+        self.mark(slab, v, scanline, inside, pixels)
+            && (!clipped.is_any()
+                || clipped.find(self.factorization, v, slab.ends, scanline.non_opaque)
+                    && pixels.keep(clipped.open(), &(0..usize::MAX)))
     }
 
     /// Looks slabs up and blends them behind what is there.
