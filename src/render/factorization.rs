@@ -126,10 +126,10 @@ impl Holes {
 }
 
 impl Clipping {
-    /// True where anything may.
+    /// True where shapes may, whatever ends rays.
     #[inline(always)]
-    pub fn is_any(&self) -> bool {
-        self.by_planes || self.by_limits || self.holes.is_any()
+    pub fn by_shapes(&self) -> bool {
+        self.by_planes || self.holes.is_any()
     }
 }
 

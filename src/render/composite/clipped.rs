@@ -68,8 +68,7 @@ impl ClippedPixels {
     /// True where pixels of the scanline must be clipped.
     #[inline(always)]
     pub fn is_any(&self) -> bool {
-        let Clipping { by_planes, holes, .. } = self.clipping;
-        by_planes || holes.is_any() || self.by_limits
+        self.clipping.by_shapes() || self.by_limits
     }
 
     /// Clips the pixels of scanline `v`, the one entered, that are set in `open`. False where none is left.

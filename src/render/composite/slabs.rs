@@ -186,8 +186,8 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
 
     /// One slab into one band.
     ///
-    /// Its back is sampled at the pixels of the `next` slab too. (Where the next slab is clipped, its pixels are found when it is its turn,
-    /// and those that are new are sampled at its front; so are those of the first slab.)
+    /// Its back is sampled at the pixels of the `next` slab too. (Where shapes clip that, or rays have not begun, its pixels are found when it
+    /// is its turn, and those that are new are sampled at its front; so are those of the first slab.)
     #[inline(always)]
     fn slab(
         &self,
@@ -203,8 +203,10 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         let shown = !vs.is_empty() && scratch.clipped.enter(f, vs.clone(), slab.ends);
         let vs = if shown { vs } else { rows.end..rows.start };
         let next = next.map(|next| (next, of_band(&next.scanlines))).filter(|(next, vs)| {
-            !vs.is_empty() && f.clipping(vs.clone(), next.ends).is_some_and(|clipping| !clipping.is_any())
+            !vs.is_empty() && f.clipping(vs.clone(), next.ends).is_some_and(|clipping| !clipping.by_shapes())
         });
+        let begins = f.position(slab.ends[1]) as f32;
+        let have_begun = |v| f.limits().is_none_or(|limits| limits.have_begun(v, begins));
         let (mut all, mut us) = (vs.clone(), slab.pixels.clone());
         scratch.inside.clear();
         scratch.inside.add(us.clone());
@@ -229,10 +231,11 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
                     Some(true) => {
                         pixels.copy_from(ahead);
                         pixels.keep_within(scanline.non_opaque, inside)
+                            && self.clip(slab, v, &scanline, clipped, pixels)
                     }
                 }
             };
-            let next = next.as_ref().filter(|(_, vs)| vs.contains(&v));
+            let next = next.as_ref().filter(|(_, vs)| vs.contains(&v) && have_begun(v));
             *found = next.map(|(next, _)| self.mark(next, v, &scanline, inside_ahead, ahead));
             let any_ahead = *found == Some(true);
             let was_sampled = std::mem::replace(is_sampled, any || any_ahead) && known;
@@ -293,10 +296,22 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         clipped: &mut ClippedPixels,
         pixels: &mut Mask,
     ) -> bool {
-        self.mark(slab, v, scanline, inside, pixels)
-            && (!clipped.is_any()
-                || clipped.find(self.factorization, v, slab.ends, scanline.non_opaque)
-                    && pixels.keep(clipped.open(), &(0..usize::MAX)))
+        self.mark(slab, v, scanline, inside, pixels) && self.clip(slab, v, scanline, clipped, pixels)
+    }
+
+    /// Leaves out what clipping leaves nothing of; false where no pixel is left.
+    #[inline(always)]
+    fn clip(
+        &self,
+        slab: &Slab<'_, L::Placement>,
+        v: usize,
+        scanline: &ScanlineMut<'_>,
+        clipped: &mut ClippedPixels,
+        pixels: &mut Mask,
+    ) -> bool {
+        !clipped.is_any()
+            || clipped.find(self.factorization, v, slab.ends, scanline.non_opaque)
+                && pixels.keep(clipped.open(), &(0..usize::MAX))
     }
 
     /// Looks slabs up and blends them behind what is there.

@@ -210,6 +210,12 @@ impl Limits {
         *begun > first || !holes.is_empty() || (ends.from < last && ends.to > first)
     }
 
+    /// Whether all rays of scanline `v` of which anything is seen are seen from a position on, or from before it.
+    #[inline(always)]
+    pub fn have_begun(&self, v: usize, position: f32) -> bool {
+        self.scanlines[v].begun <= position
+    }
+
     /// Whether rays of scanline `v` end behind a position, not after a later one; behind no position, also those of which nothing is seen.
     #[inline(always)]
     pub fn end_between(&self, v: usize, behind: Option<f32>, until: f32) -> bool {
