@@ -68,7 +68,7 @@ pub fn warp(
 ) -> Result<(), RenderError> {
     let row_bytes = width * background.channels();
     let height = out.len() / row_bytes;
-    let mut fill = || {
+    let fill = || {
         out.par_chunks_mut(row_bytes * BAND_HEIGHT).enumerate().try_for_each(|(band, rows)| {
             if cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
@@ -77,9 +77,6 @@ pub fn warp(
             Ok(())
         })
     };
-    if parts.iter().all(|part| part.depth.is_none()) {
-        return fill();
-    }
     let (filled, mended) = rayon::join(fill, || torn::mended(parts, [width, height]));
     filled?;
     for ([x, y], pixel) in mended {

@@ -40,16 +40,9 @@ impl ClippedPixels {
         clipping.is_some()
     }
 
-    /// For scanline `v`, one of those entered, where nothing is behind those of its rays that have ended: their pixels are not `open` any more.
-    /// True where others must be clipped ([`Self::find`]); else they are as they are.
+    /// For scanline `v`, one of those entered. Nothing is behind those of its rays that have ended: their pixels are not `open` any more.
     #[inline(always)]
-    pub fn enter_scanline(
-        &mut self,
-        factorization: &Factorization,
-        v: usize,
-        slices: [f64; 2],
-        open: &mut [u64],
-    ) -> bool {
+    pub fn enter_scanline(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2], open: &mut [u64]) {
         self.by_limits = false;
         if let Some(limits) = factorization.limits().filter(|_| self.clipping.by_limits) {
             let positions @ [first, _] = slices.map(|k| factorization.position(k) as f32);
@@ -62,10 +55,9 @@ impl ClippedPixels {
             *ended = Some(first);
             self.by_limits = limits.tells_apart(v, positions);
         }
-        self.is_any()
     }
 
-    /// True where pixels of the scanline must be clipped.
+    /// True where pixels of the scanline must be clipped ([`Self::find`]); else they are as they are.
     #[inline(always)]
     pub fn is_any(&self) -> bool {
         self.clipping.by_shapes() || self.by_limits

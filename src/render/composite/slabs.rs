@@ -201,6 +201,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         let of_band = |scanlines: &Range<usize>| scanlines.start.max(rows.start)..scanlines.end.min(rows.end);
         let vs = of_band(&slab.scanlines);
         let shown = !vs.is_empty() && scratch.clipped.enter(f, vs.clone(), slab.ends);
+        // Empty where it is not, and of no influence on the hull with other scanlines.
         let vs = if shown { vs } else { rows.end..rows.start };
         let next = next.map(|next| (next, of_band(&next.scanlines))).filter(|(next, vs)| {
             !vs.is_empty() && f.clipping(vs.clone(), next.ends).is_some_and(|clipping| !clipping.by_shapes())
@@ -225,15 +226,17 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             let known = std::mem::replace(left_by, slab.number) + 1 == slab.number;
             let any = vs.contains(&v) && {
                 clipped.enter_scanline(f, v, slab.ends, scanline.non_opaque);
-                match found.filter(|_| known) {
-                    None => self.find(slab, v, &scanline, inside, clipped, pixels),
-                    Some(false) => false,
-                    Some(true) => {
+                let any = match found.filter(|_| known) {
+                    None => self.mark(slab, v, &scanline, inside, pixels),
+                    Some(any) => {
                         pixels.copy_from(ahead);
-                        pixels.keep_within(scanline.non_opaque, inside)
-                            && self.clip(slab, v, &scanline, clipped, pixels)
+                        any && pixels.keep_within(scanline.non_opaque, inside)
                     }
-                }
+                };
+                // And clipping leaves something of them.
+                any && (!clipped.is_any()
+                    || clipped.find(f, v, slab.ends, scanline.non_opaque)
+                        && pixels.keep(clipped.open(), &(0..usize::MAX)))
             };
             let next = next.as_ref().filter(|(_, vs)| vs.contains(&v) && have_begun(v));
             *found = next.map(|(next, _)| self.mark(next, v, &scanline, inside_ahead, ahead));
@@ -283,35 +286,6 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         let ends = [&slab.front.placement, &slab.back.placement];
         L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels)
             && pixels.keep_within(scanline.non_opaque, inside)
-    }
-
-    /// The same of those that clipping leaves.
-    #[inline(always)]
-    fn find(
-        &self,
-        slab: &Slab<'_, L::Placement>,
-        v: usize,
-        scanline: &ScanlineMut<'_>,
-        inside: &Mask,
-        clipped: &mut ClippedPixels,
-        pixels: &mut Mask,
-    ) -> bool {
-        self.mark(slab, v, scanline, inside, pixels) && self.clip(slab, v, scanline, clipped, pixels)
-    }
-
-    /// Leaves out what clipping leaves nothing of; false where no pixel is left.
-    #[inline(always)]
-    fn clip(
-        &self,
-        slab: &Slab<'_, L::Placement>,
-        v: usize,
-        scanline: &ScanlineMut<'_>,
-        clipped: &mut ClippedPixels,
-        pixels: &mut Mask,
-    ) -> bool {
-        !clipped.is_any()
-            || clipped.find(self.factorization, v, slab.ends, scanline.non_opaque)
-                && pixels.keep(clipped.open(), &(0..usize::MAX))
     }
 
     /// Looks slabs up and blends them behind what is there.

@@ -160,7 +160,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 self.source.prefetch_place(j, farther);
             }
             let mut scanline = band.scanline(v - band.first);
-            let clips = clipped.enter_scanline(f, v, slices, scanline.non_opaque);
+            clipped.enter_scanline(f, v, slices, scanline.non_opaque);
             let upper = match below {
                 Some((at, scanline)) if at == j => scanline,
                 _ => self.source.scanline(j, k),
@@ -169,7 +169,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             let mut open =
                 Open { words: scanline.non_opaque, first: first_u, between: fraction_u > 0.0, length: f.dims[0] };
             below = lower.map(|lower| (j + 1, lower));
-            if clips {
+            if clipped.is_any() {
                 let touches = self.source.touches(&upper, &open)
                     || lower.as_ref().is_some_and(|lower| self.source.touches(lower, &open));
                 if !touches || !clipped.find(f, v, slices, scanline.non_opaque) {

@@ -12,7 +12,7 @@ use crate::render::factorization::Meeting;
 /// Pixels of a word of masks.
 const WORD: usize = 64;
 
-/// Scanlines of which it is told together what is seen.
+/// Scanlines of which it is told together what is seen: as many as a band has, which asks for all of its own.
 const GROUP: usize = 16;
 
 /// What is seen of the rays of an intermediate image.
@@ -99,17 +99,17 @@ impl SeenScanline {
             Word { bounds, holes: theirs, within }
         };
         let words: Vec<_> = from.chunks_exact(WORD).zip(to.chunks_exact(WORD)).enumerate().map(word).collect();
-        let (mut begun, mut ends, mut blind) = (f32::NEG_INFINITY, Stretch::NOTHING, elsewhere.sees_nothing());
+        let (mut begun, mut ends, mut blind) = (f32::NEG_INFINITY, Stretch::NOTHING, elsewhere.is_nothing());
         if !blind {
             begun = elsewhere.from;
         }
         for (&from, &to) in from.iter().zip(&to) {
-            let nothing = Stretch { from, to }.sees_nothing();
+            let nothing = Stretch { from, to }.is_nothing();
             blind |= nothing;
             if !nothing {
                 begun = begun.max(from);
             }
-            if !nothing && (to < elsewhere.to || elsewhere.sees_nothing()) {
+            if !nothing && (to < elsewhere.to || elsewhere.is_nothing()) {
                 ends = Stretch { from: ends.from.min(to), to: ends.to.max(to) };
             }
         }
@@ -145,7 +145,7 @@ impl Stretch {
 
     /// True where it holds nothing.
     #[inline(always)]
-    fn sees_nothing(&self) -> bool {
+    fn is_nothing(&self) -> bool {
         self.from == f32::INFINITY
     }
 

@@ -23,7 +23,7 @@ pub fn mended(parts: &[Part<'_>], size: [usize; 2]) -> Vec<([usize; 2], Fixed)> 
         let rows = 0..part.image.size()[1].saturating_sub(1);
         rows.into_par_iter().flat_map_iter(|v| part.mended(v, size)).collect::<Vec<_>>()
     };
-    parts.iter().flat_map(of_part).collect()
+    parts.iter().filter(|part| part.depth.is_some()).flat_map(of_part).collect()
 }
 
 impl Part<'_> {
