@@ -10,6 +10,7 @@
 //! A kernel's functions must be `#[inline(always)]` down to the last: what is not inlined into the
 //! entry below is compiled without its features.
 
+pub mod shorts;
 pub mod wide;
 
 /// Bytes that memory is moved by.

@@ -18,12 +18,14 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::Background;
+use super::pixel::{BLOCK, Pixel, nearest};
+use super::simd::shorts::FOUR;
 
 /// Pixels of a mask word.
 const WORD: usize = 64;
 
-/// Pixels that are looked at together where it is measured what was drawn.
-const BLOCK: usize = 8;
+/// So many pixels behind a scanline's last may be blended with it, where nothing is added to them.
+const BESIDE: usize = FOUR;
 
 /// A pixel that the warp reads: red, green, blue and opacity, premultiplied, in units of 1 / [`ONE`].
 pub type Fixed = [i16; 4];
@@ -36,17 +38,18 @@ pub const ONE_SHIFT: u32 = 7;
 
 /// Memory that is not needed any more, for the next frame. What the system gives anew costs a fault for every
 /// page, which together took as long as a warp.
-struct Spare<T>(Mutex<Vec<Vec<T>>>);
+#[derive(Debug)]
+pub struct Spare<T>(Mutex<Vec<Vec<T>>>);
 
 static SPARE_IMAGES: Spare<Fixed> = Spare::new();
-static SPARE_BANDS: Spare<Vec4> = Spare::new();
 
 impl<T> Spare<T> {
     /// So many are kept at most, of so many bytes.
     const COUNT: usize = 8;
     const BYTES: usize = 8 << 20;
 
-    const fn new() -> Self {
+    /// None yet.
+    pub const fn new() -> Self {
         Self(Mutex::new(vec![]))
     }
 
@@ -90,9 +93,9 @@ pub struct Strip<'a> {
 
 /// What bands are composited in, one after the other.
 #[derive(Debug)]
-pub struct BandBuffer {
-    /// All zero but while a band is open.
-    pixels: Vec<Vec4>,
+pub struct BandBuffer<P: Pixel> {
+    /// All clear but while a band is open.
+    pixels: Vec<P>,
     /// Words per scanline: one more than its pixels need, so that a shifted mask can be read across the end.
     non_opaque: Vec<u64>,
     open: bool,
@@ -100,19 +103,19 @@ pub struct BandBuffer {
 
 /// The scanlines of a [`Strip`] while they are composited.
 #[derive(Debug)]
-pub struct Band<'a> {
+pub struct Band<'a, P> {
     /// The first scanline's v.
     pub first: usize,
     width: usize,
-    pixels: &'a mut [Vec4],
+    pixels: &'a mut [P],
     words: usize,
     non_opaque: &'a mut [u64],
 }
 
 /// One scanline: pixels from u = 0, and the mask of those not opaque.
 #[derive(Debug)]
-pub struct ScanlineMut<'a> {
-    pub pixels: &'a mut [Vec4],
+pub struct ScanlineMut<'a, P> {
+    pub pixels: &'a mut [P],
     pub non_opaque: &'a mut [u64],
 }
 
@@ -213,17 +216,17 @@ impl IntermediateImage {
     }
 }
 
-impl Default for BandBuffer {
+impl<P: Pixel> Default for BandBuffer<P> {
     /// Room for a band, whatever its size turns out to be.
     fn default() -> Self {
-        Self { pixels: SPARE_BANDS.take(), non_opaque: vec![], open: false }
+        Self { pixels: P::spare().take(), non_opaque: vec![], open: false }
     }
 }
 
-impl Drop for BandBuffer {
+impl<P: Pixel> Drop for BandBuffer<P> {
     fn drop(&mut self) {
         if !self.open {
-            SPARE_BANDS.give(std::mem::take(&mut self.pixels));
+            P::spare().give(std::mem::take(&mut self.pixels));
         }
     }
 }
@@ -231,14 +234,14 @@ impl Drop for BandBuffer {
 impl Strip<'_> {
     /// The strip's scanlines, all transparent.
     #[inline(always)]
-    pub fn open<'b>(&self, buffer: &'b mut BandBuffer) -> Band<'b> {
-        let (width, count) = (self.width, self.pixels.len());
+    pub fn open<'b, P: Pixel>(&self, buffer: &'b mut BandBuffer<P>) -> Band<'b, P> {
+        let (width, count) = (self.width, self.drawn.len() * (self.width + BESIDE));
         if std::mem::replace(&mut buffer.open, true) {
             // A band was begun in it and not ended.
-            buffer.pixels.fill(Vec4::ZERO);
+            buffer.pixels.fill(P::CLEAR);
         }
         if buffer.pixels.len() < count {
-            buffer.pixels.resize(count, Vec4::ZERO);
+            buffer.pixels.resize(count, P::CLEAR);
         }
         let words = width.div_ceil(WORD) + 1;
         buffer.non_opaque.resize(words * self.drawn.len(), 0);
@@ -254,25 +257,27 @@ impl Strip<'_> {
 
     /// Takes over what was drawn in `buffer`, and leaves it as it was before.
     #[inline(always)]
-    pub fn close(self, buffer: &mut BandBuffer) {
+    pub fn close<P: Pixel>(self, buffer: &mut BandBuffer<P>) {
         let ground = fixed(&[self.behind])[0];
         let scanlines = self.pixels.chunks_exact_mut(self.width).zip(self.drawn);
-        for ((fixed_pixels, drawn), pixels) in scanlines.zip(buffer.pixels.chunks_exact_mut(self.width)) {
+        let buffered = buffer.pixels.chunks_exact_mut(self.width + BESIDE);
+        for ((fixed_pixels, drawn), pixels) in scanlines.zip(buffered) {
+            let pixels = &mut pixels[..self.width];
             *drawn = measure(pixels);
             fixed_pixels[..drawn.start].fill(ground);
             fixed_pixels[drawn.end..].fill(ground);
             let (fixed_pixels, pixels) = (&mut fixed_pixels[drawn.clone()], &mut pixels[drawn.clone()]);
             let (fixed_blocks, blocks) = (fixed_pixels.chunks_mut(BLOCK), pixels.chunks_mut(BLOCK));
             for (fixed_pixels, pixels) in fixed_blocks.zip(blocks) {
-                match <&[Vec4; BLOCK]>::try_from(&*pixels) {
-                    Ok(pixels) => fixed_pixels.copy_from_slice(&fixed(&over(pixels, self.behind))),
+                match <&[P; BLOCK]>::try_from(&*pixels) {
+                    Ok(pixels) => fixed_pixels.copy_from_slice(&P::fixed(pixels, self.behind)),
                     Err(_) => {
                         for (out, pixel) in fixed_pixels.iter_mut().zip(&*pixels) {
-                            *out = fixed(&over(&[*pixel], self.behind))[0];
+                            *out = P::fixed(&[*pixel], self.behind)[0];
                         }
                     }
                 }
-                pixels.fill(Vec4::ZERO);
+                pixels.fill(P::CLEAR);
             }
         }
         buffer.open = false;
@@ -303,54 +308,49 @@ fn put_pixel_behind(front: &mut Fixed, back: Fixed) {
 
 /// Where pixels have been drawn on, to a block.
 #[inline(always)]
-fn measure(pixels: &[Vec4]) -> Range<usize> {
-    let drawn = |block: &[Vec4]| block.iter().fold(0, |bits, pixel| bits | or(pixel)) != 0;
+fn measure<P: Pixel>(pixels: &[P]) -> Range<usize> {
+    let drawn = |block: &[P]| !P::are_clear(block);
     let blocks = || pixels.chunks(BLOCK);
     let Some(first) = blocks().position(drawn) else { return 0..0 };
     let last = blocks().rposition(drawn).unwrap_or(first);
     first * BLOCK..((last + 1) * BLOCK).min(pixels.len())
 }
 
-/// Zero only where all components are.
+/// To the nearest fixed-point numbers.
 #[inline(always)]
-fn or(pixel: &Vec4) -> u32 {
-    pixel.to_array().iter().fold(0, |bits, component| bits | component.to_bits())
-}
-
-/// Pixels over one that is behind them.
-#[inline(always)]
-fn over<const N: usize>(pixels: &[Vec4; N], behind: Vec4) -> [Vec4; N] {
-    let mut over = *pixels;
-    for pixel in &mut over {
-        *pixel += behind * (1.0 - pixel.w);
-    }
-    over
-}
-
-/// To the nearest fixed-point numbers. Adding 1.5 * 2^23 leaves them in the low mantissa bits.
-#[inline(always)]
-fn fixed<const N: usize>(pixels: &[Vec4; N]) -> [Fixed; N] {
+pub(super) fn fixed<const N: usize>(pixels: &[Vec4; N]) -> [Fixed; N] {
     let mut fixed = [[0; 4]; N];
     for (fixed, pixel) in fixed.iter_mut().zip(pixels) {
-        let scaled = pixel.clamp(Vec4::ZERO, Vec4::ONE) * f32::from(ONE) + Vec4::splat(12_582_912.0);
-        for (fixed, component) in fixed.iter_mut().zip(scaled.to_array()) {
-            *fixed = component.to_bits() as i16;
-        }
+        let scaled = pixel.clamp(Vec4::ZERO, Vec4::ONE) * f32::from(ONE);
+        *fixed = scaled.to_array().map(nearest);
     }
     fixed
 }
 
-impl Band<'_> {
+impl<P> Band<'_, P> {
     /// Number of scanlines.
     pub fn height(&self) -> usize {
-        self.pixels.len() / self.width
+        self.pixels.len() / (self.width + BESIDE)
     }
 
     /// Scanline `row` of the band.
     #[inline(always)]
-    pub fn scanline(&mut self, row: usize) -> ScanlineMut<'_> {
+    pub fn scanline(&mut self, row: usize) -> ScanlineMut<'_, P> {
+        let width = self.width;
+        self.scanline_of(row, width)
+    }
+
+    /// The same and the [`BESIDE`] pixels beside its end, to which nothing may be added.
+    #[inline(always)]
+    pub fn scanline_and_more(&mut self, row: usize) -> ScanlineMut<'_, P> {
+        let width = self.width + BESIDE;
+        self.scanline_of(row, width)
+    }
+
+    #[inline(always)]
+    fn scanline_of(&mut self, row: usize, count: usize) -> ScanlineMut<'_, P> {
         ScanlineMut {
-            pixels: &mut self.pixels[row * self.width..][..self.width],
+            pixels: &mut self.pixels[row * (self.width + BESIDE)..][..count],
             non_opaque: &mut self.non_opaque[row * self.words..][..self.words],
         }
     }

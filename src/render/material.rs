@@ -14,14 +14,19 @@ use std::fmt::Debug;
 use glam::Vec4;
 
 use super::Sampling;
+use super::composite::samples::BLOCK;
 use super::composite::sources::Stored;
 use super::factorization::Factorization;
+use super::pixel::{Pixel, nearest, short};
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
+use super::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT};
+use super::simd::wide::Portable;
 use crate::classify::CodeTables;
 use crate::classify::labels::LabelTables;
 use crate::classify::rle::Voxel;
 use crate::classify::transfer::MAX_OPACITY;
+use crate::volume::gradient::NORMAL_CODES;
 
 /// Colour and opacity by code, for a ray's length through a slice.
 #[derive(Clone, Debug)]
@@ -258,6 +263,41 @@ impl Light for Painted<'_> {
 }
 
 /// Voxel -> premultiplied colour and opacity.
+pub trait Shader: Copy + Debug + Send + Sync {
+    /// The shader for the voxels of one slice.
+    type Slice: SliceShader;
+
+    /// For a slice that stands for `share` intervals, as one of the factorization does.
+    fn slice(&self, share: f64) -> Self::Slice;
+}
+
+/// A [`Shader`] for the voxels of one slice. Implementations are `#[inline(always)]`.
+pub trait SliceShader: Copy {
+    /// What voxels are made into.
+    type Pixel: Pixel;
+    /// False where colours stay as they are.
+    const LIT: bool;
+    /// True where light is found for a block of voxels at once.
+    const BLOCKS: bool;
+    /// True where voxels have a gradient opacity.
+    const FACTORED: bool;
+    /// True where samples must be [`Self::resampled`].
+    const PAINTED: bool;
+
+    /// What is resampled of voxel (i, j, k); `factor` is its gradient opacity, 255 = 1.
+    fn voxel(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Self::Pixel;
+
+    /// The same of consecutive voxels from (i, j, k) on; `factors` are looked at where there are any.
+    fn voxels<W: Shorts>(&self, voxels: &[Voxel], factors: &[u8], at: [usize; 3], out: &mut [Self::Pixel]);
+
+    /// The same of a block of them.
+    fn block(&self, voxels: &[Voxel; BLOCK], factors: &[u8; BLOCK], at: [usize; 3], out: &mut [Self::Pixel]);
+
+    /// Premultiplied colour and opacity of what was resampled, along a ray of a `length` in units of the shortest.
+    fn resampled(&self, sample: Self::Pixel, length: f32) -> Self::Pixel;
+}
+
+/// The [`Shader`] of floats.
 #[derive(Clone, Copy, Debug)]
 pub struct Material<'a, H, const FACTORED: bool> {
     tables: &'a SliceTables,
@@ -281,31 +321,31 @@ impl<'a, H: Light, const FACTORED: bool> Material<'a, H, FACTORED> {
     pub fn new(tables: &'a SliceTables, light: H, lengths: Option<f64>) -> Self {
         Self { tables, light, lengths }
     }
+}
 
-    /// For a slice that stands for `share` intervals, as one of the factorization does.
+impl<'a, H: Light, const FACTORED: bool> Shader for Material<'a, H, FACTORED> {
+    type Slice = SliceMaterial<'a, H, FACTORED>;
+
     #[inline(always)]
-    pub fn slice(&self, share: f64) -> SliceMaterial<'a, H, FACTORED> {
-        let entries = &self.tables.entries;
-        let (_, table) = entries.iter().find(|entry| entry.0 == share).unwrap_or(&entries[0]);
+    fn slice(&self, share: f64) -> SliceMaterial<'a, H, FACTORED> {
         SliceMaterial {
-            table,
+            table: table_of(&self.tables.entries, share),
             light: self.light,
             lengths: self.lengths.map_or(1.0, |lengths| (lengths * share) as f32),
         }
     }
 }
 
-impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
-    /// Factors on and addends to the colours of consecutive voxels from (i, j, k) on, by their normals' codes.
-    #[inline(always)]
-    pub fn light<const N: usize>(&self, normals: &[u16; N], at: [usize; 3]) -> [[f32; N]; 2] {
-        self.light.shade(normals, at)
-    }
+/// The table of slices that stand for `share` intervals.
+#[inline(always)]
+fn table_of<T>(entries: &[(f64, Vec<T>)], share: f64) -> &[T] {
+    let (_, table) = entries.iter().find(|entry| entry.0 == share).unwrap_or(&entries[0]);
+    table
+}
 
-    /// What is resampled of voxel (i, j, k): its premultiplied colour and opacity, but for [`Self::resampled`]; `factor` is its
-    /// gradient opacity, 255 = 1.
+impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
     #[inline(always)]
-    pub fn color(&self, code: u16, factor: u8, [scale, add]: [f32; 2], at: [usize; 3]) -> Vec4 {
+    fn color(&self, code: u16, factor: u8, [scale, add]: [f32; 2], at: [usize; 3]) -> Vec4 {
         let entry = self.table[usize::from(code)];
         let entry = if H::PAINTED { self.light.paint(entry, code, at) } else { entry };
         let alpha = if H::PAINTED {
@@ -320,24 +360,8 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
         (color * alpha).with_w(alpha)
     }
 
-    /// Premultiplied colour and opacity of what was resampled, along a ray of a `length` in units of the shortest.
     #[inline(always)]
-    pub fn resampled(&self, sample: Vec4, length: f32) -> Vec4 {
-        if H::PAINTED { self.light.resampled(sample, self.lengths * length) } else { sample }
-    }
-
-    /// The colours of consecutive voxels from (i, j, k) on; `factors` are looked at where `FACTORED`.
-    #[inline(always)]
-    pub fn colors(&self, voxels: &[Voxel], factors: &[u8], at: [usize; 3], out: &mut [Vec4]) {
-        if H::BLOCKS {
-            self.colors_by::<8>(voxels, factors, at, out);
-        } else {
-            self.colors_by::<1>(voxels, factors, at, out);
-        }
-    }
-
-    #[inline(always)]
-    fn colors_by<const N: usize>(&self, voxels: &[Voxel], factors: &[u8], [i, j, k]: [usize; 3], out: &mut [Vec4]) {
+    fn voxels_by<const N: usize>(&self, voxels: &[Voxel], factors: &[u8], [i, j, k]: [usize; 3], out: &mut [Vec4]) {
         let out = &mut out[..voxels.len()];
         let mut first = 0;
         while first < voxels.len() {
@@ -346,7 +370,7 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
             for at in first..end {
                 normals[at - first] = voxels[at].normal;
             }
-            let [scales, addends] = self.light(&normals, [i + first, j, k]);
+            let [scales, addends] = self.light.shade(&normals, [i + first, j, k]);
             for at in first..end {
                 let factor = if FACTORED { factors[at] } else { u8::MAX };
                 let light = [scales[at - first], addends[at - first]];
@@ -354,5 +378,137 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
             }
             first = end;
         }
+    }
+}
+
+impl<H: Light, const FACTORED: bool> SliceShader for SliceMaterial<'_, H, FACTORED> {
+    type Pixel = Vec4;
+    const LIT: bool = H::LIT;
+    const BLOCKS: bool = H::BLOCKS;
+    const FACTORED: bool = FACTORED;
+    const PAINTED: bool = H::PAINTED;
+
+    #[inline(always)]
+    fn voxel(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Vec4 {
+        let [[scale], [add]] = self.light.shade(&[voxel.normal], at);
+        self.color(voxel.code, factor, [scale, add], at)
+    }
+
+    #[inline(always)]
+    fn voxels<W: Shorts>(&self, voxels: &[Voxel], factors: &[u8], at: [usize; 3], out: &mut [Vec4]) {
+        if H::BLOCKS {
+            self.voxels_by::<BLOCK>(voxels, factors, at, out);
+        } else {
+            self.voxels_by::<1>(voxels, factors, at, out);
+        }
+    }
+
+    #[inline(always)]
+    fn block(&self, voxels: &[Voxel; BLOCK], factors: &[u8; BLOCK], at: [usize; 3], out: &mut [Vec4]) {
+        self.voxels_by::<BLOCK>(voxels, factors, at, out);
+    }
+
+    #[inline(always)]
+    fn resampled(&self, sample: Vec4, length: f32) -> Vec4 {
+        if H::PAINTED { self.light.resampled(sample, self.lengths * length) } else { sample }
+    }
+}
+
+/// Tables of 16-bit fractions for a frame whose voxels are told by their codes and normals.
+#[derive(Clone, Debug)]
+pub struct ShortTables {
+    /// By how many intervals a slice stands for. Premultiplied colour, not lit yet, and opacity.
+    entries: Vec<(f64, Vec<Short>)>,
+    lights: Vec<ShortLight>,
+}
+
+impl ShortTables {
+    /// The least opacity that a slice may have, but for nothing: rounded, it is off by 1 in 128, and what is seen of a
+    /// medium by less than 1 in 255.
+    const LEAST_OPACITY: f32 = 1.0 / 512.0;
+    /// The greatest factor or addend of a light.
+    const BRIGHTEST: f32 = 1.999;
+
+    /// Of the floats' tables; `None` where they hold what 16 bits are too coarse or too few for.
+    pub fn new(tables: &SliceTables, shading: Option<&ShadingTable>) -> Option<Self> {
+        let whole = table_of(&tables.entries, 1.0);
+        if whole.iter().any(|entry| entry.w > 0.0 && entry.w < Self::LEAST_OPACITY) {
+            return None;
+        }
+        let light = |number: f32| nearest(number * (f32::from(UNIT) / 2.0));
+        let lights = match shading {
+            None => vec![[light(1.0), 0]; NORMAL_CODES],
+            Some(table) => {
+                // Of numbers that are not negative the bits are in order, too.
+                let bits = table.entries().as_flattened().iter().fold(0, |most, number| number.to_bits().max(most));
+                if f32::from_bits(bits) > Self::BRIGHTEST {
+                    return None;
+                }
+                table.entries().iter().map(|entry| entry.map(light)).collect()
+            }
+        };
+        let entry = |entry: &Vec4| Short((*entry * entry.w).with_w(entry.w).to_array().map(short));
+        let entries = tables.entries.iter().map(|(share, table)| (*share, table.iter().map(entry).collect())).collect();
+        Some(Self { entries, lights })
+    }
+}
+
+/// The [`Shader`] of 16-bit fractions.
+#[derive(Clone, Copy, Debug)]
+pub struct ShortMaterial<'a>(pub &'a ShortTables);
+
+/// A [`ShortMaterial`] for the voxels of one slice.
+#[derive(Clone, Copy, Debug)]
+pub struct ShortSlice<'a> {
+    table: &'a [Short],
+    lights: &'a [ShortLight],
+}
+
+impl<'a> Shader for ShortMaterial<'a> {
+    type Slice = ShortSlice<'a>;
+
+    #[inline(always)]
+    fn slice(&self, share: f64) -> ShortSlice<'a> {
+        ShortSlice { table: table_of(&self.0.entries, share), lights: &self.0.lights }
+    }
+}
+
+impl SliceShader for ShortSlice<'_> {
+    type Pixel = Short;
+    const LIT: bool = true;
+    const BLOCKS: bool = false;
+    const FACTORED: bool = false;
+    const PAINTED: bool = false;
+
+    #[inline(always)]
+    fn voxel(&self, voxel: Voxel, _: u8, _: [usize; 3]) -> Short {
+        Portable::shade_one(self.table[usize::from(voxel.code)], self.lights[usize::from(voxel.normal)])
+    }
+
+    #[inline(always)]
+    fn voxels<W: Shorts>(&self, voxels: &[Voxel], _: &[u8], _: [usize; 3], out: &mut [Short]) {
+        let (fours, rest) = voxels.as_chunks::<FOUR>();
+        let (outs, out_rest) = out[..voxels.len()].as_chunks_mut::<FOUR>();
+        for (four, out) in fours.iter().zip(outs) {
+            let (mut entries, mut lights) = ([Short::CLEAR; FOUR], [[0; 2]; FOUR]);
+            for n in 0..FOUR {
+                entries[n] = self.table[usize::from(four[n].code)];
+                lights[n] = self.lights[usize::from(four[n].normal)];
+            }
+            *out = W::shade(&entries, &lights);
+        }
+        for (voxel, out) in rest.iter().zip(out_rest) {
+            *out = W::shade_one(self.table[usize::from(voxel.code)], self.lights[usize::from(voxel.normal)]);
+        }
+    }
+
+    #[inline(always)]
+    fn block(&self, voxels: &[Voxel; BLOCK], factors: &[u8; BLOCK], at: [usize; 3], out: &mut [Short]) {
+        self.voxels::<Portable>(voxels, factors, at, out);
+    }
+
+    #[inline(always)]
+    fn resampled(&self, sample: Short, _: f32) -> Short {
+        sample
     }
 }

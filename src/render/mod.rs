@@ -7,6 +7,7 @@ mod image;
 pub mod intermediate;
 pub mod lighting;
 pub mod material;
+pub mod pixel;
 pub mod raster;
 pub mod ray_light;
 pub mod regions;

@@ -26,7 +26,7 @@ pub struct ClippedPixels {
 impl ClippedPixels {
     /// For a band of scanlines, none of whose rays has ended yet.
     #[inline(always)]
-    pub fn enter_band(&mut self, band: &Band<'_>) {
+    pub fn enter_band<P>(&mut self, band: &Band<'_, P>) {
         self.first = band.first;
         self.ended.clear();
         self.ended.resize(band.height(), None);
@@ -107,6 +107,12 @@ impl ClippedPixels {
     #[inline(always)]
     pub fn cuts_any(&self) -> bool {
         self.cut.iter().any(|&bits| bits != 0)
+    }
+
+    /// Open pixels of which not all is left, by word.
+    #[inline(always)]
+    pub fn cut(&self) -> &[u64] {
+        &self.cut
     }
 
     /// True where not all is left of pixel `u`.

@@ -33,11 +33,15 @@ pub mod sources;
 mod touched;
 pub mod voxels;
 
-use glam::Vec4;
 use rayon::prelude::*;
 
 use super::RenderError;
 use super::intermediate::{Band, BandBuffer, IntermediateImage, Strip};
+use super::pixel::Pixel;
+use super::simd::shorts::Shorts;
+#[cfg(target_arch = "x86_64")]
+use super::simd::wide::Avx2;
+use super::simd::wide::Portable;
 use super::simd::{self, Kernel};
 
 /// Pixels of a mask word.
@@ -52,6 +56,8 @@ const CANCEL_STEP: usize = 64;
 
 /// A walk over all slices that fills bands of the intermediate image.
 pub trait Composite: Sync {
+    /// What bands are composited in.
+    type Pixel: Pixel;
     /// Row buffers and masks of a thread.
     type Scratch: Send;
 
@@ -62,7 +68,8 @@ pub trait Composite: Sync {
     ///
     /// # Errors
     /// [`RenderError::Cancelled`].
-    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError>;
+    fn band<W: Shorts>(&self, band: &mut Band<'_, Self::Pixel>, scratch: &mut Self::Scratch)
+    -> Result<(), RenderError>;
 
     /// Composites into `image`, which must be of the factorization's size.
     ///
@@ -84,7 +91,7 @@ pub trait Composite: Sync {
 struct Job<'a, 'b, C: Composite> {
     composite: &'a C,
     strip: Strip<'b>,
-    buffer: &'a mut BandBuffer,
+    buffer: &'a mut BandBuffer<C::Pixel>,
     scratch: &'a mut C::Scratch,
 }
 
@@ -93,17 +100,24 @@ impl<C: Composite> Kernel for Job<'_, '_, C> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut band = self.strip.open(self.buffer);
-        self.composite.band(&mut band, self.scratch)?;
-        self.strip.close(self.buffer);
-        Ok(())
+        self.fill::<Portable>()
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) -> Self::Output {
+        self.fill::<Avx2>()
     }
 }
 
-/// A premultiplied sample behind a premultiplied pixel.
-#[inline(always)]
-fn over(front: Vec4, sample: Vec4) -> Vec4 {
-    front + sample * (1.0 - front.w)
+impl<C: Composite> Job<'_, '_, C> {
+    #[inline(always)]
+    fn fill<W: Shorts>(self) -> Result<(), RenderError> {
+        let mut band = self.strip.open(self.buffer);
+        self.composite.band::<W>(&mut band, self.scratch)?;
+        self.strip.close(self.buffer);
+        Ok(())
+    }
 }
 
 /// `length` bits from bit `start` on.

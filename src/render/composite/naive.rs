@@ -8,30 +8,33 @@ use rayon::prelude::*;
 
 use super::footprint::Footprint;
 use super::lattice::{Lattice, Scaled, Unit};
-use super::over;
 use super::samples::{Position, Quads, lerp};
 use super::slabs::SlabComposite;
 use super::sources::VoxelSource;
-use super::voxels::{VoxelLattice, Voxels, Weights};
+use super::voxels::{VoxelLattice, Voxels, cut};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, Holes, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
-use crate::render::material::Light;
+use crate::render::material::{Shader, SliceShader};
+use crate::render::pixel::Pixel;
 use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{Cancel, RenderError};
 
 /// A composite told pixel by pixel.
 pub trait Pixels: Sync {
+    /// What bands are composited in.
+    type Pixel: Pixel;
+
     /// The ray of intermediate pixel (u, v).
-    fn pixel(&self, u: usize, v: usize) -> Vec4;
+    fn pixel(&self, u: usize, v: usize) -> Self::Pixel;
 }
 
 /// Composites all slices into `image`, as [`Composite::run`](super::Composite::run) does.
 ///
 /// # Errors
 /// [`RenderError::Cancelled`].
-pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel) -> Result<(), RenderError> {
-    image.strips(1).try_for_each_init(BandBuffer::default, |buffer, strip| {
+pub fn run<C: Pixels>(pixels: &C, image: &mut IntermediateImage, cancel: &Cancel) -> Result<(), RenderError> {
+    image.strips(1).try_for_each_init(BandBuffer::<C::Pixel>::default, |buffer, strip| {
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
@@ -45,31 +48,34 @@ pub fn run(pixels: &impl Pixels, image: &mut IntermediateImage, cancel: &Cancel)
     })
 }
 
-impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Pixels
-    for Voxels<'_, L, V, H, FACTORED>
+impl<P: Pixel, L: NaiveVoxels<P> + VoxelLattice<P>, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Pixels
+    for Voxels<'_, L, V, M>
 {
-    fn pixel(&self, u: usize, v: usize) -> Vec4 {
+    type Pixel = P;
+
+    fn pixel(&self, u: usize, v: usize) -> P {
         let f = self.factorization;
-        let mut pixel = Vec4::ZERO;
+        let limit = P::limit(self.opaque);
+        let mut pixel = P::CLEAR;
         for step in 0..f.slices.len() {
             let k = if f.reversed { f.slices.end - 1 - step } else { f.slices.start + step };
             let Some(whole) = clipped(f, [u, v], f.interval(k)) else { continue };
             let Some(mut sample) = L::on_slice(f, k, [u, v], |i, j| self.color([i, j, k])) else { continue };
             let length = if L::LENGTHS { f.relative_length(u, v) } else { 1.0 };
-            if H::PAINTED {
+            if M::Slice::PAINTED {
                 sample = self.material.slice(f.share(k)).resampled(sample, length);
             } else if L::LENGTHS {
-                sample *= opacity_ratio(sample.w, length);
+                sample = sample.times(opacity_ratio(sample.opacity(), length));
             }
             if !whole {
                 let left: f32 = f.left(u, v, f.interval(k)).map(|[enter, leave]| leave - enter).sum();
-                sample *= if left > 0.0 { opacity_ratio(sample.w, left) } else { 0.0 };
+                sample = cut(sample, Some(left));
             }
             if let Some(cue) = self.cue {
-                sample = (sample * cue.slice(k as f64).scanline(v).at(u)).with_w(sample.w);
+                sample = sample.faded(cue.slice(k as f64).scanline(v).at(u));
             }
-            pixel = over(pixel, sample);
-            if pixel.w >= self.opaque {
+            pixel = pixel.over(sample);
+            if pixel.is_opaque(limit) {
                 break;
             }
         }
@@ -77,17 +83,14 @@ impl<L: NaiveLattice + VoxelLattice, V: VoxelSource, H: Light, const FACTORED: b
     }
 }
 
-impl<L: Lattice, V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
+impl<L: Lattice, V: VoxelSource, M: Shader> Voxels<'_, L, V, M> {
     /// The colour of a voxel, zero where it is transparent. Past the end, where the weight is zero, there
     /// is nothing.
-    fn color(&self, at: [usize; 3]) -> Vec4 {
+    fn color(&self, at: [usize; 3]) -> <M::Slice as SliceShader>::Pixel {
         let material = self.material.slice(self.factorization.share(at[2]));
         match self.source.voxel(at).filter(|_| at[0] < self.factorization.dims[0]) {
-            Some((voxel, factor)) => {
-                let [[scale], [add]] = material.light(&[voxel.normal], at);
-                material.color(voxel.code, factor, [scale, add], at)
-            }
-            None => Vec4::ZERO,
+            Some((voxel, factor)) => material.voxel(voxel, factor, at),
+            None => Pixel::CLEAR,
         }
     }
 }
@@ -120,18 +123,23 @@ fn contains(slice: &SlicePlacement, dims: [usize; 3], pixel: [usize; 2]) -> bool
 pub trait NaiveLattice: Lattice {
     /// The sample at pixel (u, v), slices being continued by their borders.
     fn pixel(voxels: &dyn Quads, dims: [usize; 3], position: &Position<Self::Placement>, pixel: [usize; 2]) -> Vec4;
+}
 
+/// The same of single voxels.
+pub trait NaiveVoxels<P>: Lattice {
     /// What is resampled at pixel (u, v) of slice `k` of voxels, which `voxel` gives by i and j; `None` where
     /// the pixel does not lie on the slice.
     fn on_slice(
         factorization: &Factorization,
         k: usize,
         pixel: [usize; 2],
-        voxel: impl Fn(usize, usize) -> Vec4,
-    ) -> Option<Vec4>;
+        voxel: impl Fn(usize, usize) -> P,
+    ) -> Option<P>;
 }
 
 impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S, C> {
+    type Pixel = Vec4;
+
     fn pixel(&self, u: usize, v: usize) -> Vec4 {
         let f = self.factorization;
         let mut pixel = Vec4::ZERO;
@@ -151,7 +159,7 @@ impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S
             if let Some(cue) = slab.cue {
                 sample = (sample * cue.scanline(v).at(u)).with_w(sample.w);
             }
-            pixel = over(pixel, sample);
+            pixel = pixel.over(sample);
             if pixel.w >= self.opaque {
                 break;
             }
@@ -174,24 +182,26 @@ impl NaiveLattice for Unit {
         let near = on_slice(position.near);
         position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
     }
+}
 
+impl<P: Pixel> NaiveVoxels<P> for Unit {
     fn on_slice(
         factorization: &Factorization,
         k: usize,
         [u, v]: [usize; 2],
-        voxel: impl Fn(usize, usize) -> Vec4,
-    ) -> Option<Vec4> {
+        voxel: impl Fn(usize, usize) -> P,
+    ) -> Option<P> {
         let slice = factorization.slice(k);
         if !contains(&slice, factorization.dims, [u, v]) {
             return None;
         }
         let (i, j) = (u - slice.first[0], v - slice.first[1]);
         let row = |j: usize| [voxel(i, j), voxel(i + 1, j)];
-        let weights = Weights::new(slice.fraction[0], slice.fraction[1]);
+        let weights = P::weights(slice.fraction);
         Some(if slice.fraction[1] > 0.0 {
-            weights.sample::<true>(row(j), row(j + 1))
+            P::resample::<true>(&weights, row(j), row(j + 1))
         } else {
-            weights.sample::<false>(row(j), [Vec4::ZERO; 2])
+            P::resample::<false>(&weights, row(j), [P::CLEAR; 2])
         })
     }
 }
@@ -202,7 +212,9 @@ impl NaiveLattice for Scaled {
         let near = on_slice(position.near);
         position.far.map_or(near, |(k, part)| lerp(near, on_slice(k), part))
     }
+}
 
+impl NaiveVoxels<Vec4> for Scaled {
     fn on_slice(
         factorization: &Factorization,
         k: usize,

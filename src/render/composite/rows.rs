@@ -4,20 +4,19 @@
 //! without asking. Voxels are shaded when the first pixel needs them, and each only once while
 //! its scanline is in a buffer.
 
-use glam::Vec4;
-
 use super::samples::BLOCK;
 use super::sources::{ShadedRow, VoxelSource};
 use super::{WORD, run_mask};
-use crate::render::material::{Light, SliceMaterial};
+use crate::render::material::SliceShader;
+use crate::render::pixel::Pixel;
 
 /// One voxel scanline.
 #[derive(Debug)]
-pub struct Row {
+pub struct Row<P> {
     /// The scanline's j, where one was entered.
     pub j: Option<usize>,
     /// Premultiplied colour and opacity by voxel; one more than the scanline has, always zero.
-    pub voxels: Vec<Vec4>,
+    pub voxels: Vec<P>,
     /// Non-transparent voxels (or, until they are classified, those that may be), a bit each.
     pub marked: Vec<u64>,
     /// Voxels whose marks are known to be of drawn ones.
@@ -29,13 +28,13 @@ pub struct Row {
     empty: bool,
 }
 
-impl Row {
+impl<P: Pixel> Row<P> {
     /// For scanlines of `length` voxels.
     pub fn new(length: usize) -> Self {
         let words = length.div_ceil(WORD) + 1;
         Self {
             j: None,
-            voxels: vec![Vec4::ZERO; words * WORD],
+            voxels: vec![P::CLEAR; words * WORD],
             marked: vec![0; words],
             classified: vec![0; words],
             asked: vec![0; words],
@@ -50,7 +49,7 @@ impl Row {
         for (word, bits) in self.shaded.iter_mut().enumerate() {
             if *bits != 0 {
                 let (first, end) = (bits.trailing_zeros() as usize, WORD - bits.leading_zeros() as usize);
-                self.voxels[word * WORD + first..word * WORD + end].fill(Vec4::ZERO);
+                self.voxels[word * WORD + first..word * WORD + end].fill(P::CLEAR);
                 *bits = 0;
             }
         }
@@ -99,13 +98,13 @@ impl Row {
 
     /// Shades the marked ones of `touched` voxels of slice `k` that are not there yet.
     #[inline(always)]
-    pub fn shade<V: VoxelSource, H: Light, const FACTORED: bool>(
+    pub fn shade<V: VoxelSource, M: SliceShader<Pixel = P>>(
         &mut self,
         source: V,
         scanline: &V::Scanline,
         touched: &[u64],
         k: usize,
-        material: SliceMaterial<'_, H, FACTORED>,
+        material: M,
     ) {
         for ((asked, marked), touched) in self.asked.iter_mut().zip(&self.marked).zip(touched) {
             *asked = marked & touched;
@@ -118,12 +117,12 @@ impl Row {
 
 /// The upper and the lower voxel scanline of a row of pixels.
 #[derive(Debug)]
-pub struct RowBuffers {
-    upper: Row,
-    lower: Row,
+pub struct RowBuffers<P> {
+    upper: Row<P>,
+    lower: Row<P>,
 }
 
-impl RowBuffers {
+impl<P: Pixel> RowBuffers<P> {
     /// Buffers for scanlines of `length` voxels.
     pub fn new(length: usize) -> Self {
         Self { upper: Row::new(length), lower: Row::new(length) }
@@ -146,19 +145,19 @@ impl RowBuffers {
 
     /// The upper scanline's buffer. What it holds may be of another scanline until it is [entered](Row::enter).
     #[inline(always)]
-    pub fn upper(&mut self) -> &mut Row {
+    pub fn upper(&mut self) -> &mut Row<P> {
         &mut self.upper
     }
 
     /// The lower one's.
     #[inline(always)]
-    pub fn lower(&mut self) -> &mut Row {
+    pub fn lower(&mut self) -> &mut Row<P> {
         &mut self.lower
     }
 
     /// The voxels of scanline `j` and, where pixels lie between two scanlines, `j + 1`.
     #[inline(always)]
-    pub fn voxels(&mut self, j: usize, has_lower: bool) -> [&[Vec4]; 2] {
+    pub fn voxels(&mut self, j: usize, has_lower: bool) -> [&[P]; 2] {
         self.upper.enter(j);
         if has_lower {
             self.lower.enter(j + 1);

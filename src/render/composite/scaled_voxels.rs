@@ -20,10 +20,12 @@ use super::rows::Row;
 use super::scaled::{Columns, add};
 use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, cut, slices_ahead};
-use super::{WORD, clear_bits, first_run, over, run_mask};
+use super::{WORD, clear_bits, first_run, run_mask};
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
-use crate::render::material::{Light, SliceMaterial};
+use crate::render::material::{Shader, SliceShader};
+use crate::render::pixel::Pixel;
+use crate::render::simd::shorts::Shorts;
 use crate::render::slab::opacity_ratio;
 
 /// Row buffers and masks of a thread.
@@ -31,7 +33,7 @@ use crate::render::slab::opacity_ratio;
 pub struct Scratch {
     length: usize,
     /// Voxel scanlines, j always in the same place.
-    rows: Vec<Row>,
+    rows: Vec<Row<Vec4>>,
     columns: Columns,
     /// Weights of the scanlines under one of pixels.
     weights: Vec<f32>,
@@ -55,7 +57,7 @@ struct Place<'a> {
     k: usize,
 }
 
-impl VoxelLattice for Scaled {
+impl VoxelLattice<Vec4> for Scaled {
     type Scratch = Scratch;
 
     fn scratch(factorization: &Factorization) -> Scratch {
@@ -74,15 +76,15 @@ impl VoxelLattice for Scaled {
     }
 
     #[inline(always)]
-    fn enter_band(factorization: &Factorization, band: &Band<'_>, scratch: &mut Scratch) {
+    fn enter_band(factorization: &Factorization, band: &Band<'_, Vec4>, scratch: &mut Scratch) {
         factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
         scratch.clipped.enter_band(band);
     }
 
     #[inline(always)]
-    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
-        voxels: &Voxels<'_, Self, V, H, FACTORED>,
-        band: &mut Band<'_>,
+    fn slice<W: Shorts, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = Vec4>>>(
+        voxels: &Voxels<'_, Self, V, M>,
+        band: &mut Band<'_, Vec4>,
         k: usize,
         scratch: &mut Scratch,
     ) {
@@ -135,7 +137,7 @@ impl VoxelLattice for Scaled {
             scratch.shade(voxels.source, first, k, material);
             let finish = |sample: Vec4, u, length, clipped: &ClippedPixels| {
                 let left = if clipped.is_any() { voxels.left(u, v, k, clipped) } else { None };
-                let of_length = if H::PAINTED {
+                let of_length = if M::Slice::PAINTED {
                     material.resampled(sample, length)
                 } else {
                     sample * opacity_ratio(sample.w, length)
@@ -176,7 +178,7 @@ impl Scratch {
     /// Finds the pixels over marked voxels that are not opaque and not clipped away, and the voxels under them;
     /// false where there is none.
     #[inline(always)]
-    fn find(&mut self, at: &Place<'_>, scanline: &ScanlineMut<'_>) -> bool {
+    fn find(&mut self, at: &Place<'_>, scanline: &ScanlineMut<'_, Vec4>) -> bool {
         self.pixels.clear();
         let count = self.rows.len();
         for word in 0..self.length.div_ceil(WORD) {
@@ -218,13 +220,7 @@ impl Scratch {
 
     /// Shades the touched voxels.
     #[inline(always)]
-    fn shade<V: VoxelSource, H: Light, const FACTORED: bool>(
-        &mut self,
-        source: V,
-        first: usize,
-        k: usize,
-        material: SliceMaterial<'_, H, FACTORED>,
-    ) {
+    fn shade<V: VoxelSource, M: SliceShader<Pixel = Vec4>>(&mut self, source: V, first: usize, k: usize, material: M) {
         let count = self.rows.len();
         for (j, _) in (first..).zip(&self.weights).filter(|(_, weight)| **weight > 0.0) {
             self.rows[j % count].shade(source, &source.scanline(j, k), self.touched.words(), k, material);
@@ -244,7 +240,7 @@ impl Scratch {
     #[inline(always)]
     fn blend(
         &mut self,
-        scanline: &mut ScanlineMut<'_>,
+        scanline: &mut ScanlineMut<'_, Vec4>,
         lengths: usize,
         first: usize,
         cue: Option<ScanlineCue<'_>>,
@@ -268,9 +264,9 @@ impl Scratch {
             for (at, ((pixel, sample), length)) in pixels.enumerate() {
                 let mut sample = finish(*sample, u + at, *length, &self.clipped);
                 if let Some(cue) = cue {
-                    sample = (sample * cue.at(u + at)).with_w(sample.w);
+                    sample = sample.faded(cue.at(u + at));
                 }
-                *pixel = over(*pixel, sample);
+                *pixel = pixel.over(sample);
                 done |= u64::from(pixel.w >= opaque) << at;
             }
             if done != 0 {

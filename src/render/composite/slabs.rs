@@ -30,10 +30,12 @@ use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use super::occupied::Occupied;
 use super::samples::{Position, Quads};
-use super::{CANCEL_STEP, Composite, clear_bits, over};
+use super::{CANCEL_STEP, Composite, clear_bits};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
+use crate::render::pixel::Pixel;
+use crate::render::simd::shorts::Shorts;
 use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{BufferSlice, Cancel, RenderError};
 
@@ -106,6 +108,7 @@ pub(super) struct Slab<'a, P> {
 }
 
 impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, C> {
+    type Pixel = Vec4;
     type Scratch = Scratch<L::Rows>;
 
     fn scratch(&self, height: usize) -> Self::Scratch {
@@ -134,7 +137,7 @@ impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, 
     }
 
     #[inline(always)]
-    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
+    fn band<W: Shorts>(&self, band: &mut Band<'_, Vec4>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
         for kept in &mut scratch.kept {
             (kept.is_sampled, kept.found) = (false, None);
         }
@@ -191,7 +194,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     #[inline(always)]
     fn slab(
         &self,
-        band: &mut Band<'_>,
+        band: &mut Band<'_, Vec4>,
         slab: &Slab<'_, L::Placement>,
         next: Option<&Slab<'_, L::Placement>>,
         scratch: &mut Scratch<L::Rows>,
@@ -279,7 +282,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         &self,
         slab: &Slab<'_, L::Placement>,
         v: usize,
-        scanline: &ScanlineMut<'_>,
+        scanline: &ScanlineMut<'_, Vec4>,
         inside: &Mask,
         pixels: &mut Mask,
     ) -> bool {
@@ -292,7 +295,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
     #[inline(always)]
     fn blend(
         &self,
-        scanline: &mut ScanlineMut<'_>,
+        scanline: &mut ScanlineMut<'_, Vec4>,
         (v, clipped): (usize, &ClippedPixels),
         slab: &Slab<'_, L::Placement>,
         pixels: &Mask,
@@ -335,7 +338,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             if CUED && let Some(cue) = run.cue {
                 sample = (sample * cue.at(run.u + at)).with_w(sample.w);
             }
-            *pixel = over(*pixel, sample);
+            *pixel = pixel.over(sample);
             opaque |= u64::from(pixel.w >= self.opaque) << at;
         }
         opaque
@@ -354,7 +357,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             if let Some(cue) = run.cue {
                 sample = (sample * cue.at(u)).with_w(sample.w);
             }
-            *pixel = over(*pixel, sample);
+            *pixel = pixel.over(sample);
             opaque |= u64::from(pixel.w >= self.opaque) << at;
         }
         opaque
@@ -375,7 +378,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         let Some(left) = left else { return sample(front, back) };
         left.fold(Vec4::ZERO, |before, [enter, leave]| {
             let slab = sample(front.lerp(back, enter), front.lerp(back, leave));
-            over(before, slab * opacity_ratio(slab.w, leave - enter))
+            before.over(slab * opacity_ratio(slab.w, leave - enter))
         })
     }
 

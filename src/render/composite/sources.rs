@@ -7,8 +7,6 @@
 //! whether it is transparent. Frames of either are the same bit for bit, so that one stands in for the other
 //! as long as there is no encoding ("switch modes").
 
-use glam::Vec4;
-
 use super::occupied::LeafRows;
 use super::rows::Row;
 use super::samples::{BLOCK, VoxelRows};
@@ -17,8 +15,10 @@ use super::{WORD, run_mask};
 use crate::classify::CodeTables;
 use crate::classify::rle::{AxisEncoding, Scanline, Voxel};
 use crate::render::factorization::Factorization;
-use crate::render::material::{Light, SliceMaterial};
+use crate::render::material::SliceShader;
 use crate::render::simd::prefetch;
+use crate::render::simd::shorts::Shorts;
+use crate::render::simd::wide::Portable;
 use crate::volume::gradient::Code;
 
 /// Voxels by scanline.
@@ -49,13 +49,13 @@ pub trait VoxelSource: Copy + Send + Sync {
 
     /// Adds the open pixels that touch drawn voxels to `touched`, and shades the voxels that they touch (or some more) into a row
     /// that is to be scanline j of slice k, unless they are there. A row for which nothing is touched may go on being another.
-    fn touch<H: Light, const FACTORED: bool>(
+    fn touch<W: Shorts, M: SliceShader>(
         &self,
         scanline: &Self::Scanline,
         open: &Open<'_>,
         touched: &mut Touched,
-        row: (&mut Row, [usize; 2]),
-        material: SliceMaterial<'_, H, FACTORED>,
+        row: (&mut Row<M::Pixel>, [usize; 2]),
+        material: M,
     );
 
     /// Sets the bits of voxels that may be drawn.
@@ -66,12 +66,12 @@ pub trait VoxelSource: Copy + Send + Sync {
 
     /// Shades the voxels that are `asked` for and not `shaded` yet (or some more) into a row of them, which
     /// is zero elsewhere. Voxels that are not drawn come out as zero.
-    fn shade<H: Light, const FACTORED: bool>(
+    fn shade<M: SliceShader>(
         &self,
         scanline: &Self::Scanline,
         asked: &[u64],
-        row: ShadedRow<'_>,
-        material: SliceMaterial<'_, H, FACTORED>,
+        row: ShadedRow<'_, M::Pixel>,
+        material: M,
     );
 
     /// Voxel (i, j, k) and its gradient opacity (255 = 1), the plain way; `None` where it is not drawn.
@@ -80,9 +80,9 @@ pub trait VoxelSource: Copy + Send + Sync {
 
 /// A scanline's shaded voxels.
 #[derive(Debug)]
-pub struct ShadedRow<'a> {
+pub struct ShadedRow<'a, P> {
     /// Premultiplied colour and opacity by voxel.
-    pub voxels: &'a mut [Vec4],
+    pub voxels: &'a mut [P],
     /// Voxels that are there.
     pub shaded: &'a mut [u64],
     /// The scanline's j and k.
@@ -127,13 +127,13 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
 
     /// Per run the stretch from the first to the last voxel that is touched and not there yet.
     #[inline(always)]
-    fn touch<H: Light, const FACTORED: bool>(
+    fn touch<W: Shorts, M: SliceShader>(
         &self,
         scanline: &Scanline<'a>,
         open: &Open<'_>,
         touched: &mut Touched,
-        (row, at): (&mut Row, [usize; 2]),
-        material: SliceMaterial<'_, H, FACTORED>,
+        (row, at): (&mut Row<M::Pixel>, [usize; 2]),
+        material: M,
     ) {
         let mut before = 0;
         for run in scanline.runs {
@@ -148,9 +148,9 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
                     let (from, to) = (missing.trailing_zeros() as usize, WORD - missing.leading_zeros() as usize);
                     *shaded |= run_mask(from, to - from) << (start % WORD);
                     let stored = before + from..before + to;
-                    let factors = if FACTORED { &scanline.factors[stored.clone()] } else { &[] };
+                    let factors = if M::FACTORED { &scanline.factors[stored.clone()] } else { &[] };
                     let out = &mut row.voxels[start + from..start + to];
-                    material.colors(&scanline.voxels[stored], factors, [start + from, at[0], at[1]], out);
+                    material.voxels::<W>(&scanline.voxels[stored], factors, [start + from, at[0], at[1]], out);
                 }
             }
             before += length;
@@ -171,13 +171,7 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
 
     /// Per run the stretch from the first to the last voxel that is asked for and not there yet.
     #[inline(always)]
-    fn shade<H: Light, const FACTORED: bool>(
-        &self,
-        scanline: &Scanline<'a>,
-        asked: &[u64],
-        row: ShadedRow<'_>,
-        material: SliceMaterial<'_, H, FACTORED>,
-    ) {
+    fn shade<M: SliceShader>(&self, scanline: &Scanline<'a>, asked: &[u64], row: ShadedRow<'_, M::Pixel>, material: M) {
         let mut before = 0;
         for run in scanline.runs {
             let (start, length) = (usize::from(run.start), usize::from(run.length));
@@ -186,9 +180,10 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
                 let first = run.word() * WORD + missing.trailing_zeros() as usize;
                 let end = (run.word() + 1) * WORD - missing.leading_zeros() as usize;
                 let stored = before + first - start..before + end - start;
-                let factors = if FACTORED { &scanline.factors[stored.clone()] } else { &[] };
+                let factors = if M::FACTORED { &scanline.factors[stored.clone()] } else { &[] };
                 let [j, k] = row.at;
-                material.colors(&scanline.voxels[stored], factors, [first, j, k], &mut row.voxels[first..end]);
+                let out = &mut row.voxels[first..end];
+                material.voxels::<Portable>(&scanline.voxels[stored], factors, [first, j, k], out);
                 row.shaded[run.word()] |= run_mask(first % WORD, end - first);
             }
             before += length;
@@ -290,34 +285,30 @@ impl<T: Code> Unencoded<'_, T> {
 impl<T: Code> Unencoded<'_, T> {
     /// Shades the eight voxels from (i, j, k) on.
     #[inline(always)]
-    fn shade_block<H: Light, const FACTORED: bool>(
-        &self,
-        [i, j, k]: [usize; 3],
-        out: &mut [Vec4],
-        material: SliceMaterial<'_, H, FACTORED>,
-    ) {
+    fn shade_block<M: SliceShader>(&self, [i, j, k]: [usize; 3], out: &mut [M::Pixel], material: M) {
         let codes = self.voxels.codes(j, k, i);
-        let mut normals = [0; BLOCK];
-        for (n, normal) in normals.iter_mut().enumerate() {
-            *normal = if H::LIT { self.normals.at([i + n, j, k]) } else { 0 };
-        }
-        let [scales, addends] = material.light(&normals, [i, j, k]);
+        let mut voxels = [Voxel { code: 0, normal: 0 }; BLOCK];
+        let mut factors = [u8::MAX; BLOCK];
         for n in 0..BLOCK {
-            let factor = if FACTORED { self.factor(codes[n], [i + n, j, k]) } else { u8::MAX };
-            out[n] = material.color(codes[n], factor, [scales[n], addends[n]], [i + n, j, k]);
+            let at = [i + n, j, k];
+            voxels[n] = Voxel { code: codes[n], normal: if M::LIT { self.normals.at(at) } else { 0 } };
+            if M::FACTORED {
+                factors[n] = self.factor(codes[n], at);
+            }
         }
+        material.block(&voxels, &factors, [i, j, k], out);
     }
 }
 
 impl<'a, T: Code> Unencoded<'a, T> {
     /// Shades the voxels of one word that are asked for and not shaded yet.
     #[inline(always)]
-    fn shade_word<H: Light, const FACTORED: bool>(
+    fn shade_word<M: SliceShader>(
         &self,
         &(j, k, _): &(usize, usize, &'a [u64]),
         (word, asked): (usize, u64),
-        row: ShadedRow<'_>,
-        material: SliceMaterial<'_, H, FACTORED>,
+        row: ShadedRow<'_, M::Pixel>,
+        material: M,
     ) {
         let codes = self.voxels.row(j, k);
         let shaded = &mut row.shaded[word];
@@ -325,18 +316,17 @@ impl<'a, T: Code> Unencoded<'a, T> {
         *shaded |= missing;
         while missing != 0 {
             let i = word * WORD + missing.trailing_zeros() as usize;
-            if H::BLOCKS {
+            if M::BLOCKS {
                 let first = i / BLOCK * BLOCK;
                 missing &= !run_mask(first % WORD, BLOCK);
                 *shaded |= run_mask(first % WORD, BLOCK);
                 self.shade_block([first, j, k], &mut row.voxels[first..first + BLOCK], material);
             } else {
                 missing &= missing - 1;
-                let normal = if H::LIT { self.normals.at([i, j, k]) } else { 0 };
-                let [[scale], [addend]] = material.light(&[normal], [i, j, k]);
+                let normal = if M::LIT { self.normals.at([i, j, k]) } else { 0 };
                 let code = codes[i].into();
-                let factor = if FACTORED { self.factor(code, [i, j, k]) } else { u8::MAX };
-                row.voxels[i] = material.color(code, factor, [scale, addend], [i, j, k]);
+                let factor = if M::FACTORED { self.factor(code, [i, j, k]) } else { u8::MAX };
+                row.voxels[i] = material.voxel(Voxel { code, normal }, factor, [i, j, k]);
             }
         }
     }
@@ -386,13 +376,13 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
 
     /// Classifies the touched voxels of leaves that may show something, block by block, and shades those that are drawn.
     #[inline(always)]
-    fn touch<H: Light, const FACTORED: bool>(
+    fn touch<W: Shorts, M: SliceShader>(
         &self,
         scanline: &Self::Scanline,
         open: &Open<'_>,
         touched: &mut Touched,
-        (row, at): (&mut Row, [usize; 2]),
-        material: SliceMaterial<'_, H, FACTORED>,
+        (row, at): (&mut Row<M::Pixel>, [usize; 2]),
+        material: M,
     ) {
         for (word, leaves) in scanline.2.iter().enumerate() {
             let open = open.word(word);
@@ -451,12 +441,12 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
 
     /// Voxel by voxel, or block by block where light is.
     #[inline(always)]
-    fn shade<H: Light, const FACTORED: bool>(
+    fn shade<M: SliceShader>(
         &self,
         scanline: &Self::Scanline,
         asked: &[u64],
-        row: ShadedRow<'_>,
-        material: SliceMaterial<'_, H, FACTORED>,
+        row: ShadedRow<'_, M::Pixel>,
+        material: M,
     ) {
         let ShadedRow { voxels, shaded, at } = row;
         for (word, asked) in asked.iter().enumerate() {

@@ -10,18 +10,18 @@
 //! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
 //!    opaque pixel's bit is cleared.
 
-use glam::Vec4;
-
 use super::clipped::ClippedPixels;
 use super::cue::{Cue, ScanlineCue};
 use super::lattice::{Lattice, Unit};
 use super::rows::RowBuffers;
 use super::sources::VoxelSource;
 use super::touched::{Open, Touched};
-use super::{BAND_HEIGHT, CANCEL_STEP, Composite, WORD, over, run_mask};
+use super::{BAND_HEIGHT, CANCEL_STEP, Composite, WORD, run_mask};
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
-use crate::render::material::{Light, Material, SliceMaterial};
+use crate::render::material::{Shader, SliceShader};
+use crate::render::pixel::{Pixel, one_by_one};
+use crate::render::simd::shorts::Shorts;
 use crate::render::slab::opacity_ratio;
 use crate::render::{Cancel, RenderError};
 
@@ -41,13 +41,13 @@ pub(super) fn slices_ahead(factorization: &Factorization, k: usize) -> Option<[u
 
 /// What the bands of a frame share.
 #[derive(Debug)]
-pub struct Voxels<'a, L: Lattice, V, H, const FACTORED: bool> {
+pub struct Voxels<'a, L: Lattice, V, M> {
     pub lattice: L,
     pub source: V,
     pub factorization: &'a Factorization,
     /// Where slices lie, from the first one of the factorization's on.
     pub placements: Vec<L::Placement>,
-    pub material: Material<'a, H, FACTORED>,
+    pub material: M,
     /// `None`: nothing fades.
     pub cue: Option<&'a Cue>,
     /// Accumulated opacity at which a pixel is done.
@@ -56,7 +56,7 @@ pub struct Voxels<'a, L: Lattice, V, H, const FACTORED: bool> {
 }
 
 /// A lattice over slices of single voxels.
-pub trait VoxelLattice: Lattice {
+pub trait VoxelLattice<P>: Lattice {
     /// Row buffers and masks of a thread.
     type Scratch: Send;
 
@@ -64,18 +64,21 @@ pub trait VoxelLattice: Lattice {
     fn scratch(factorization: &Factorization) -> Self::Scratch;
 
     /// What a band's slices share. Called before the first.
-    fn enter_band(factorization: &Factorization, band: &Band<'_>, scratch: &mut Self::Scratch);
+    fn enter_band(factorization: &Factorization, band: &Band<'_, P>, scratch: &mut Self::Scratch);
 
     /// One slice into one band. Implementations are `#[inline(always)]`.
-    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
-        voxels: &Voxels<'_, Self, V, H, FACTORED>,
-        band: &mut Band<'_>,
+    fn slice<W: Shorts, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>>(
+        voxels: &Voxels<'_, Self, V, M>,
+        band: &mut Band<'_, P>,
         k: usize,
         scratch: &mut Self::Scratch,
     );
 }
 
-impl<L: VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Composite for Voxels<'_, L, V, H, FACTORED> {
+impl<P: Pixel, L: VoxelLattice<P>, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Composite
+    for Voxels<'_, L, V, M>
+{
+    type Pixel = P;
     type Scratch = L::Scratch;
 
     fn scratch(&self, _: usize) -> Self::Scratch {
@@ -83,7 +86,7 @@ impl<L: VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Composite 
     }
 
     #[inline(always)]
-    fn band(&self, band: &mut Band<'_>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
+    fn band<W: Shorts>(&self, band: &mut Band<'_, P>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
         L::enter_band(self.factorization, band, scratch);
         let slices = self.factorization.slices.clone();
         for step in 0..slices.len() {
@@ -91,39 +94,44 @@ impl<L: VoxelLattice, V: VoxelSource, H: Light, const FACTORED: bool> Composite 
                 return Err(RenderError::Cancelled);
             }
             let k = if self.factorization.reversed { slices.end - 1 - step } else { slices.start + step };
-            L::slice(self, band, k, scratch);
+            L::slice::<W, V, M>(self, band, k, scratch);
         }
         Ok(())
     }
 }
 
-impl VoxelLattice for Unit {
-    type Scratch = (RowBuffers, Touched, ClippedPixels);
+impl<P: Pixel> VoxelLattice<P> for Unit {
+    type Scratch = (RowBuffers<P>, Touched, ClippedPixels);
 
     fn scratch(factorization: &Factorization) -> Self::Scratch {
         (RowBuffers::new(factorization.dims[0]), Touched::new(factorization.size[0]), ClippedPixels::default())
     }
 
     #[inline(always)]
-    fn enter_band(_: &Factorization, band: &Band<'_>, (_, _, clipped): &mut Self::Scratch) {
+    fn enter_band(_: &Factorization, band: &Band<'_, P>, (_, _, clipped): &mut Self::Scratch) {
         clipped.enter_band(band);
     }
 
     #[inline(always)]
-    fn slice<V: VoxelSource, H: Light, const FACTORED: bool>(
-        voxels: &Voxels<'_, Self, V, H, FACTORED>,
-        band: &mut Band<'_>,
+    fn slice<W: Shorts, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>>(
+        voxels: &Voxels<'_, Self, V, M>,
+        band: &mut Band<'_, P>,
         k: usize,
         scratch: &mut Self::Scratch,
     ) {
-        voxels.slice(band, k, scratch);
+        voxels.slice::<W>(band, k, scratch);
     }
 }
 
-impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACTORED> {
+impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<'_, Unit, V, M> {
     /// One slice into one band.
     #[inline(always)]
-    fn slice(&self, band: &mut Band<'_>, k: usize, (rows, touched, clipped): &mut <Unit as VoxelLattice>::Scratch) {
+    fn slice<W: Shorts>(
+        &self,
+        band: &mut Band<'_, P>,
+        k: usize,
+        (rows, touched, clipped): &mut (RowBuffers<P>, Touched, ClippedPixels),
+    ) {
         const { assert!(BAND_HEIGHT < WORD, "a word has a bit for each scanline under a band") }
         let f = self.factorization;
         let placement = self.placements[k - f.slices.start];
@@ -147,7 +155,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             return;
         }
         let material = self.material.slice(f.share(k));
-        let weights = Weights::new(fraction_u, fraction_v);
+        let weights = P::weights([fraction_u, fraction_v]);
         let cue = self.cue.map(|cue| cue.slice(k as f64));
         let ahead = slices_ahead(f, k);
         rows.next_slice();
@@ -159,7 +167,7 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             if let Some([_, farther]) = ahead {
                 self.source.prefetch_place(j, farther);
             }
-            let mut scanline = band.scanline(v - band.first);
+            let mut scanline = band.scanline_and_more(v - band.first);
             clipped.enter_scanline(f, v, slices, scanline.non_opaque);
             let upper = match below {
                 Some((at, scanline)) if at == j => scanline,
@@ -178,9 +186,9 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
                 open.words = clipped.open();
             }
             rows.go_on(j);
-            self.source.touch(&upper, &open, touched, (rows.upper(), [j, k]), material);
+            self.source.touch::<W, _>(&upper, &open, touched, (rows.upper(), [j, k]), material);
             if let Some(lower) = &lower {
-                self.source.touch(lower, &open, touched, (rows.lower(), [j + 1, k]), material);
+                self.source.touch::<W, _>(lower, &open, touched, (rows.lower(), [j + 1, k]), material);
             }
             if touched.is_empty() {
                 continue;
@@ -190,48 +198,82 @@ impl<V: VoxelSource, H: Light, const FACTORED: bool> Voxels<'_, Unit, V, H, FACT
             }
             let cue = cue.map(|cue| cue.scanline(v));
             let at = Place { v, k, cue, clipped };
-            let around = Around { rows: rows.voxels(j, has_lower), first_u, weights: &weights };
-            self.blend(&mut scanline, &at, (&around, has_lower), touched, material);
+            let rows = rows.voxels(j, has_lower);
+            let around = Around { rows, first_u, end: f.dims[0] - usize::from(fraction_u > 0.0), weights };
+            if has_lower {
+                self.blend::<W, true>(&mut scanline, &at, &around, touched, material);
+            } else {
+                self.blend::<W, false>(&mut scanline, &at, &around, touched, material);
+            }
         }
     }
 
-    /// Resamples the row buffers at the touched pixels and blends behind what is there.
+    /// Resamples the row buffers at the touched pixels and blends behind what is there. Pixels that become opaque are no longer open.
     #[inline(always)]
-    fn blend(
+    fn blend<W: Shorts, const LOWER: bool>(
         &self,
-        scanline: &mut ScanlineMut<'_>,
-        &Place { v, k, cue, clipped }: &Place<'_>,
-        (around, has_lower): (&Around<'_>, bool),
+        scanline: &mut ScanlineMut<'_, P>,
+        at: &Place<'_>,
+        around: &Around<'_, P>,
         touched: &mut Touched,
-        material: SliceMaterial<'_, H, FACTORED>,
+        material: M::Slice,
     ) {
-        let finish = |sample| material.resampled(sample, 1.0);
-        let cued = |u, sample: Vec4| match cue {
-            Some(cue) => (sample * cue.at(u)).with_w(sample.w),
-            None => sample,
-        };
-        let left = |u, sample| {
-            let left = self.left(u, v, k, clipped);
-            cued(u, cut(sample, left))
-        };
-        let opaque = self.opaque;
-        let is_cut = clipped.is_any() && clipped.cuts_any();
-        match (has_lower, cue) {
-            (true, _) if is_cut => {
-                blend_clipped::<true>(scanline, touched, around, |u, sample| left(u, finish(sample)), opaque);
-            }
-            (false, _) if is_cut => {
-                blend_clipped::<false>(scanline, touched, around, |u, sample| left(u, finish(sample)), opaque);
-            }
-            (true, None) => blend::<true>(scanline, touched, around, |_, sample| finish(sample), opaque),
-            (false, None) => blend::<false>(scanline, touched, around, |_, sample| finish(sample), opaque),
-            (true, Some(_)) => blend::<true>(scanline, touched, around, |u, sample| cued(u, finish(sample)), opaque),
-            (false, Some(_)) => blend::<false>(scanline, touched, around, |u, sample| cued(u, finish(sample)), opaque),
+        let limit = P::limit(self.opaque);
+        let &Around { rows, first_u, end, weights } = around;
+        let pixels = &mut scanline.pixels[first_u..];
+        let non_opaque = &mut *scanline.non_opaque;
+        // Pixels whose rays have ended are not open, whatever they show.
+        let is_clipped = at.clipped.is_any() || self.factorization.limits().is_some();
+        if is_clipped || at.cue.is_some() || M::Slice::PAINTED {
+            self.blend_with_care::<W, LOWER>((pixels, non_opaque), at, around, touched, material);
+            return;
         }
+        touched.take(|word, bits| {
+            let first = (word * WORD).wrapping_sub(first_u);
+            non_opaque[word] &= !P::blend::<W, LOWER, false>(pixels, rows, &weights, limit, (first, end), bits);
+        });
+    }
+
+    /// The same where more is to be done than to blend, compiled by itself.
+    #[inline(always)]
+    fn blend_with_care<W: Shorts, const LOWER: bool>(
+        &self,
+        (pixels, non_opaque): (&mut [P], &mut [u64]),
+        &Place { v, k, cue, clipped }: &Place<'_>,
+        &Around { rows, first_u, end, weights }: &Around<'_, P>,
+        touched: &mut Touched,
+        material: M::Slice,
+    ) {
+        let limit = P::limit(self.opaque);
+        let is_cut = clipped.is_any() && clipped.cuts_any();
+        let finish = |i: usize, sample: P| {
+            let (u, mut sample) = (i + first_u, material.resampled(sample, 1.0));
+            if is_cut {
+                sample = cut(sample, self.left(u, v, k, clipped));
+            }
+            match cue {
+                Some(cue) => sample.faded(cue.at(u)),
+                None => sample,
+            }
+        };
+        touched.take(|word, bits| {
+            let first = (word * WORD).wrapping_sub(first_u);
+            let cut = if is_cut { clipped.cut()[word] } else { 0 };
+            let by_itself = bits & if cue.is_some() || M::Slice::PAINTED { u64::MAX } else { cut };
+            let together = bits & !by_itself;
+            let mut done = 0;
+            if together != 0 {
+                done |= P::blend::<W, LOWER, true>(pixels, rows, &weights, limit, (first, end), together);
+            }
+            if by_itself != 0 {
+                done |= one_by_one::<P, LOWER>(pixels, rows, &weights, limit, first, by_itself, finish);
+            }
+            non_opaque[word] &= !done;
+        });
     }
 }
 
-impl<L: Lattice, V, H, const FACTORED: bool> Voxels<'_, L, V, H, FACTORED> {
+impl<L: Lattice, V, M> Voxels<'_, L, V, M> {
     /// The share of slice `k` that clipping leaves of pixel (u, v), where that is not all.
     #[inline(always)]
     pub(super) fn left(&self, u: usize, v: usize, k: usize, clipped: &ClippedPixels) -> Option<f32> {
@@ -256,90 +298,21 @@ struct Place<'a> {
 
 /// A sample of which a share is left.
 #[inline(always)]
-pub(super) fn cut(sample: Vec4, left: Option<f32>) -> Vec4 {
+pub(super) fn cut<P: Pixel>(sample: P, left: Option<f32>) -> P {
     match left {
         None => sample,
-        Some(left) if left > 0.0 => sample * opacity_ratio(sample.w, left),
-        Some(_) => Vec4::ZERO,
-    }
-}
-
-/// Bilinear weights of the four voxels around a pixel, the same for all of a slice.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Weights {
-    upper: [f32; 2],
-    lower: [f32; 2],
-}
-
-impl Weights {
-    #[inline(always)]
-    pub(super) fn new(fraction_u: f32, fraction_v: f32) -> Self {
-        let along = [1.0 - fraction_u, fraction_u];
-        Self { upper: along.map(|w| w * (1.0 - fraction_v)), lower: along.map(|w| w * fraction_v) }
-    }
-
-    /// The resampled value between two voxels of the upper and two of the lower scanline.
-    #[inline(always)]
-    pub(super) fn sample<const LOWER: bool>(&self, upper: [Vec4; 2], lower: [Vec4; 2]) -> Vec4 {
-        let above = upper[0] * self.upper[0] + upper[1] * self.upper[1];
-        if LOWER { above + (lower[0] * self.lower[0] + lower[1] * self.lower[1]) } else { above }
+        Some(left) if left > 0.0 => sample.times(opacity_ratio(sample.opacity(), left)),
+        Some(_) => P::CLEAR,
     }
 }
 
 /// The voxels around the pixels of a scanline.
-struct Around<'a> {
+struct Around<'a, P: Pixel> {
     /// Upper and lower.
-    rows: [&'a [Vec4]; 2],
+    rows: [&'a [P]; 2],
     /// The pixel on voxel 0 or after it.
     first_u: usize,
-    weights: &'a Weights,
-}
-
-/// Blends the touched pixels; `finish` makes what is blended of a sample at pixel u. Pixels that become opaque are no longer open.
-#[inline(always)]
-fn blend<const LOWER: bool>(
-    scanline: &mut ScanlineMut<'_>,
-    touched: &mut Touched,
-    &Around { rows: [upper, lower], first_u, weights }: &Around<'_>,
-    finish: impl Fn(usize, Vec4) -> Vec4,
-    opaque: f32,
-) {
-    // Pixels on voxels or after them, and both voxels of each: one length bounds all.
-    let pixels = &mut scanline.pixels[first_u..];
-    let length = pixels.len().min(upper.len() - 1).min(lower.len() - 1);
-    let pixels = &mut pixels[..length];
-    let [upper, upper_next] = [&upper[..length], &upper[1..=length]];
-    let [lower, lower_next] = [&lower[..length], &lower[1..=length]];
-    let (weights, opaque) = (*weights, Vec4::splat(opaque));
-    let non_opaque = &mut *scanline.non_opaque;
-    touched.take(|word, mut bits| {
-        let mut done = 0;
-        while bits != 0 {
-            let at = bits.trailing_zeros() as usize;
-            bits &= bits - 1;
-            let i = word * WORD + at - first_u;
-            // Always so.
-            if i >= length {
-                return;
-            }
-            let lower = if LOWER { [lower[i], lower_next[i]] } else { [Vec4::ZERO; 2] };
-            let sample = weights.sample::<LOWER>([upper[i], upper_next[i]], lower);
-            let pixel = over(pixels[i], finish(i + first_u, sample));
-            pixels[i] = pixel;
-            done |= u64::from(pixel.cmpge(opaque).bitmask() >> 3) << at;
-        }
-        non_opaque[word] &= !done;
-    });
-}
-
-/// The same, compiled by itself: where clipping leaves a share of some pixels.
-#[inline(never)]
-fn blend_clipped<const LOWER: bool>(
-    scanline: &mut ScanlineMut<'_>,
-    touched: &mut Touched,
-    around: &Around<'_>,
-    finish: impl Fn(usize, Vec4) -> Vec4,
-    opaque: f32,
-) {
-    blend::<LOWER>(scanline, touched, around, finish, opaque);
+    /// How many pixels from that one on lie on the slice.
+    end: usize,
+    weights: P::Weights,
 }

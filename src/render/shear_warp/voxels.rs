@@ -1,18 +1,23 @@
 //! The pass of single voxels: where they come from, and the kernel's other type parameters.
 
+use glam::Vec4;
+
 use super::{Begun, LightTable, Pass};
 use crate::classify::Encodings;
 use crate::classify::labels::Labels;
+use crate::render::composite::Composite;
 use crate::render::composite::lattice::{Lattice, Scaled, Unit};
-use crate::render::composite::naive::NaiveLattice;
+use crate::render::composite::naive::{NaiveVoxels, Pixels};
 use crate::render::composite::occupied::LeafRows;
 use crate::render::composite::samples::{VoxelLight, VoxelRows};
 use crate::render::composite::sources::{Stored, StoredNormals, Unencoded, VoxelSource};
 use crate::render::composite::voxels::{VoxelLattice, Voxels};
 use crate::render::intermediate::IntermediateImage;
 use crate::render::material::{
-    AnyLight, ByNormal, ByRay, Light, Material, Paint, Painted, Shadowless, SliceTables, Unlit,
+    AnyLight, ByNormal, ByRay, Light, Material, Paint, Painted, Shader, Shadowless, ShortMaterial, ShortTables,
+    SliceTables, Unlit,
 };
+use crate::render::shade::ShadingTable;
 use crate::render::{RenderError, Sampling};
 use crate::volume::Scalars;
 use crate::volume::gradient::Code;
@@ -54,10 +59,28 @@ impl Pass<'_> {
         }
         match &self.tables.light {
             _ if self.tables.in_shadow.is_some() => self.with_lattice(source, self.any_light(), image),
-            LightTable::Off => self.with_lattice(source, Unlit, image),
-            LightTable::ByNormal(table) => self.with_light(Unit, source, ByNormal::new(table), image),
             LightTable::ByRay(light) => self.with_light(Scaled, source, ByRay(light), image),
+            LightTable::ByNormal(table) => match self.shorts(Some(table)) {
+                Some(tables) => self.with_material(Unit, source, ShortMaterial(&tables), image),
+                None => self.with_light(Unit, source, ByNormal::new(table), image),
+            },
+            LightTable::Off => match self.shorts(None) {
+                Some(tables) => self.with_material(Unit, source, ShortMaterial(&tables), image),
+                None => self.with_lattice(source, Unlit, image),
+            },
         }
+    }
+
+    /// Tables of 16-bit fractions, where these will do.
+    fn shorts(&self, shading: Option<&ShadingTable>) -> Option<ShortTables> {
+        let plain = self.factorization.is_parallel() && self.cue.is_none() && !self.is_factored();
+        let tables = || SliceTables::new(self.classification.tables(), self.factorization, None, false);
+        if plain { ShortTables::new(&tables(), shading) } else { None }
+    }
+
+    /// True where opacity depends on the gradient.
+    fn is_factored(&self) -> bool {
+        !self.scene.transfer.gradient_opacity.is_empty()
     }
 
     fn with_lattice<V: VoxelSource, H: Light>(
@@ -99,14 +122,14 @@ impl Pass<'_> {
         Some(Paint::Colors(Stored::new(&colors.voxels, self.factorization)))
     }
 
-    fn with_light<L: VoxelLattice + NaiveLattice, V: VoxelSource, H: Light>(
+    fn with_light<L: VoxelLattice<Vec4> + NaiveVoxels<Vec4>, V: VoxelSource, H: Light>(
         &self,
         lattice: L,
         source: V,
         light: H,
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
-        let factored = !self.scene.transfer.gradient_opacity.is_empty();
+        let factored = self.is_factored();
         // Opacities that are resampled are those of the length that they were given for.
         let length = (H::PAINTED && self.settings.sampling == Sampling::Opacity).then(|| {
             let volume = self.scene.prepared.volume();
@@ -118,19 +141,23 @@ impl Pass<'_> {
         let optical_depth = factored || H::PAINTED;
         let tables = SliceTables::new(self.classification.tables(), self.factorization, length, optical_depth);
         if factored {
-            self.run(&self.composite(lattice, source, Material::<_, true>::new(&tables, light, lengths)), image)
+            self.with_material(lattice, source, Material::<_, true>::new(&tables, light, lengths), image)
         } else {
-            self.run(&self.composite(lattice, source, Material::<_, false>::new(&tables, light, lengths)), image)
+            self.with_material(lattice, source, Material::<_, false>::new(&tables, light, lengths), image)
         }
     }
 
-    fn composite<'b, L: Lattice, V, H, const FACTORED: bool>(
-        &'b self,
+    fn with_material<L: Lattice, V: VoxelSource, M: Shader>(
+        &self,
         lattice: L,
         source: V,
-        material: Material<'b, H, FACTORED>,
-    ) -> Voxels<'b, L, V, H, FACTORED> {
-        Voxels {
+        material: M,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError>
+    where
+        for<'a> Voxels<'a, L, V, M>: Composite + Pixels,
+    {
+        let voxels = Voxels {
             lattice,
             source,
             factorization: self.factorization,
@@ -139,6 +166,7 @@ impl Pass<'_> {
             cue: self.cue,
             opaque: self.settings.early_ray_termination,
             cancel: self.cancel,
-        }
+        };
+        self.run(&voxels, image)
     }
 }

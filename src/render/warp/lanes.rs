@@ -218,7 +218,7 @@ mod tests {
     fn noise() -> IntermediateImage {
         let mut image = IntermediateImage::new([37, 29], Vec4::new(0.2, 0.5, 1.0, 1.0));
         image.strips(1).for_each(|strip| {
-            let mut buffer = BandBuffer::default();
+            let mut buffer = BandBuffer::<Vec4>::default();
             let mut band = strip.open(&mut buffer);
             let mut state = band.first as u32;
             for pixel in band.scanline(0).pixels {
