@@ -285,7 +285,7 @@ pub trait SliceShader: Copy {
     const PAINTED: bool;
 
     /// What is resampled of voxel (i, j, k); `factor` is its gradient opacity, 255 = 1.
-    fn voxel(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Self::Pixel;
+    fn voxel<W: Shorts>(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Self::Pixel;
 
     /// The same of consecutive voxels from (i, j, k) on; `factors` are looked at where there are any.
     fn voxels<W: Shorts>(&self, voxels: &[Voxel], factors: &[u8], at: [usize; 3], out: &mut [Self::Pixel]);
@@ -389,7 +389,7 @@ impl<H: Light, const FACTORED: bool> SliceShader for SliceMaterial<'_, H, FACTOR
     const PAINTED: bool = H::PAINTED;
 
     #[inline(always)]
-    fn voxel(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Vec4 {
+    fn voxel<W: Shorts>(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Vec4 {
         let [[scale], [add]] = self.light.shade(&[voxel.normal], at);
         self.color(voxel.code, factor, [scale, add], at)
     }
@@ -481,12 +481,12 @@ impl SliceShader for ShortSlice<'_> {
     const PAINTED: bool = false;
 
     #[inline(always)]
-    fn voxel(&self, voxel: Voxel, _: u8, _: [usize; 3]) -> Short {
-        Portable::shade_one(self.table[usize::from(voxel.code)], self.lights[usize::from(voxel.normal)])
+    fn voxel<W: Shorts>(&self, voxel: Voxel, _: u8, _: [usize; 3]) -> Short {
+        W::shade_one(self.table[usize::from(voxel.code)], self.lights[usize::from(voxel.normal)])
     }
 
     #[inline(always)]
-    fn voxels<W: Shorts>(&self, voxels: &[Voxel], _: &[u8], _: [usize; 3], out: &mut [Short]) {
+    fn voxels<W: Shorts>(&self, voxels: &[Voxel], _: &[u8], at: [usize; 3], out: &mut [Short]) {
         let (fours, rest) = voxels.as_chunks::<FOUR>();
         let (outs, out_rest) = out[..voxels.len()].as_chunks_mut::<FOUR>();
         for (four, out) in fours.iter().zip(outs) {
@@ -498,7 +498,7 @@ impl SliceShader for ShortSlice<'_> {
             *out = W::shade(&entries, &lights);
         }
         for (voxel, out) in rest.iter().zip(out_rest) {
-            *out = W::shade_one(self.table[usize::from(voxel.code)], self.lights[usize::from(voxel.normal)]);
+            *out = self.voxel::<W>(*voxel, u8::MAX, at);
         }
     }
 

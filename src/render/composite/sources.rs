@@ -303,7 +303,7 @@ impl<T: Code> Unencoded<'_, T> {
 impl<'a, T: Code> Unencoded<'a, T> {
     /// Shades the voxels of one word that are asked for and not shaded yet.
     #[inline(always)]
-    fn shade_word<M: SliceShader>(
+    fn shade_word<W: Shorts, M: SliceShader>(
         &self,
         &(j, k, _): &(usize, usize, &'a [u64]),
         (word, asked): (usize, u64),
@@ -326,7 +326,7 @@ impl<'a, T: Code> Unencoded<'a, T> {
                 let normal = if M::LIT { self.normals.at([i, j, k]) } else { 0 };
                 let code = codes[i].into();
                 let factor = if M::FACTORED { self.factor(code, [i, j, k]) } else { u8::MAX };
-                row.voxels[i] = material.voxel(Voxel { code, normal }, factor, [i, j, k]);
+                row.voxels[i] = material.voxel::<W>(Voxel { code, normal }, factor, [i, j, k]);
             }
         }
     }
@@ -406,7 +406,7 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
             if drawn != 0 {
                 open.touch(drawn, touched);
                 let row = ShadedRow { voxels: &mut row.voxels, shaded: &mut row.shaded, at };
-                self.shade_word(scanline, (word, drawn), row, material);
+                self.shade_word::<W, M>(scanline, (word, drawn), row, material);
             }
         }
     }
@@ -450,7 +450,7 @@ impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
     ) {
         let ShadedRow { voxels, shaded, at } = row;
         for (word, asked) in asked.iter().enumerate() {
-            self.shade_word(scanline, (word, *asked), ShadedRow { voxels, shaded, at }, material);
+            self.shade_word::<Portable, M>(scanline, (word, *asked), ShadedRow { voxels, shaded, at }, material);
         }
     }
 
