@@ -7,8 +7,8 @@
 //! place of updating the links before it, and, which links cannot do, a run of voxels is
 //! intersected with 64 pixels in one instruction.
 //!
-//! A band of scanlines is composited in floating-point pixels that stay in the second-level cache, and
-//! left to the warp as 16-bit fixed-point ones, half as large, over the background already: what is behind
+//! A band of scanlines is composited in [pixels](Pixel) of its own that stay in the second-level cache, and
+//! left to the warp as 16-bit fixed-point ones over the background already: what is behind
 //! the volume is linear in its pixels, as the warp's filter is.
 
 use std::ops::Range;
@@ -41,7 +41,7 @@ pub const ONE_SHIFT: u32 = 7;
 #[derive(Debug)]
 pub struct Spare<T>(Mutex<Vec<Vec<T>>>);
 
-static SPARE_IMAGES: Spare<Fixed> = Spare::new();
+static SPARE_IMAGES: Spare<Fixed> = Spare::none();
 
 impl<T> Spare<T> {
     /// So many are kept at most, of so many bytes.
@@ -49,7 +49,7 @@ impl<T> Spare<T> {
     const BYTES: usize = 8 << 20;
 
     /// None yet.
-    pub const fn new() -> Self {
+    pub const fn none() -> Self {
         Self(Mutex::new(vec![]))
     }
 
@@ -340,7 +340,7 @@ impl<P> Band<'_, P> {
         self.scanline_of(row, width)
     }
 
-    /// The same and the [`BESIDE`] pixels beside its end, to which nothing may be added.
+    /// The same and a few pixels beside its end, to which nothing may be added.
     #[inline(always)]
     pub fn scanline_and_more(&mut self, row: usize) -> ScanlineMut<'_, P> {
         let width = self.width + BESIDE;

@@ -1,6 +1,6 @@
 //! What a band is composited in.
 //!
-//! Premultiplied colour and opacity, as four floats or as four 16-bit fractions ([`Short`]). The latter are half as large and are
+//! Premultiplied colour and opacity, as four floats or as four 16-bit fractions (`Short`). The latter are half as large and are
 //! blended four at once, but too coarse for a medium of which a slice shows next to nothing; they serve where all that a frame does
 //! is to look voxels up, to resample and to blend them. Whatever else computes with colours has floats.
 
@@ -153,7 +153,7 @@ impl Pixel for Vec4 {
     }
 
     fn spare() -> &'static Spare<Self> {
-        static SPARE: Spare<Vec4> = Spare::new();
+        static SPARE: Spare<Vec4> = Spare::none();
         &SPARE
     }
 }
@@ -265,12 +265,12 @@ impl Pixel for Short {
     }
 
     fn spare() -> &'static Spare<Self> {
-        static SPARE: Spare<Short> = Spare::new();
+        static SPARE: Spare<Short> = Spare::none();
         &SPARE
     }
 }
 
-/// A fraction in units of 1 / [`UNIT`].
+/// A fraction in units of 1 / `UNIT`.
 #[inline(always)]
 pub fn short(fraction: f32) -> i16 {
     nearest(fraction.clamp(0.0, 1.0) * f32::from(UNIT))

@@ -316,9 +316,9 @@ mod tests {
             let Short(shaded) = Portable::shade_one(entry, light);
             prop_assert_eq!(shaded[3], opacity);
             let [factor, addend] = light.map(|number| 2.0 * f32::from(number) / unit);
-            for n in 0..3 {
-                let expected = (f32::from(entry.0[n]) * factor + f32::from(opacity) * addend).min(opacity.into());
-                prop_assert!((f32::from(shaded[n]) - expected).abs() <= 5.0, "{:?}: {} {}", entry, shaded[n], expected);
+            for (component, lit) in entry.0.into_iter().zip(shaded).take(3) {
+                let expected = (f32::from(component) * factor + f32::from(opacity) * addend).min(opacity.into());
+                prop_assert!((f32::from(lit) - expected).abs() <= 5.0, "{:?}: {} {}", entry, lit, expected);
             }
         }
 
