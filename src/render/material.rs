@@ -21,7 +21,6 @@ use super::pixel::{Pixel, nearest, short};
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
 use super::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT};
-use super::simd::wide::Portable;
 use crate::classify::CodeTables;
 use crate::classify::labels::LabelTables;
 use crate::classify::rle::Voxel;
@@ -290,9 +289,6 @@ pub trait SliceShader: Copy {
     /// The same of consecutive voxels from (i, j, k) on; `factors` are looked at where there are any.
     fn voxels<W: Shorts>(&self, voxels: &[Voxel], factors: &[u8], at: [usize; 3], out: &mut [Self::Pixel]);
 
-    /// The same of a block of them.
-    fn block(&self, voxels: &[Voxel; BLOCK], factors: &[u8; BLOCK], at: [usize; 3], out: &mut [Self::Pixel]);
-
     /// Premultiplied colour and opacity of what was resampled, along a ray of a `length` in units of the shortest.
     fn resampled(&self, sample: Self::Pixel, length: f32) -> Self::Pixel;
 }
@@ -404,11 +400,6 @@ impl<H: Light, const FACTORED: bool> SliceShader for SliceMaterial<'_, H, FACTOR
     }
 
     #[inline(always)]
-    fn block(&self, voxels: &[Voxel; BLOCK], factors: &[u8; BLOCK], at: [usize; 3], out: &mut [Vec4]) {
-        self.voxels_by::<BLOCK>(voxels, factors, at, out);
-    }
-
-    #[inline(always)]
     fn resampled(&self, sample: Vec4, length: f32) -> Vec4 {
         if H::PAINTED { self.light.resampled(sample, self.lengths * length) } else { sample }
     }
@@ -500,11 +491,6 @@ impl SliceShader for ShortSlice<'_> {
         for (voxel, out) in rest.iter().zip(out_rest) {
             *out = self.voxel::<W>(*voxel, u8::MAX, at);
         }
-    }
-
-    #[inline(always)]
-    fn block(&self, voxels: &[Voxel; BLOCK], factors: &[u8; BLOCK], at: [usize; 3], out: &mut [Short]) {
-        self.voxels::<Portable>(voxels, factors, at, out);
     }
 
     #[inline(always)]

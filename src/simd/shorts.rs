@@ -137,6 +137,16 @@ mod avx2 {
 
     // No closures below: they are functions of their own, which are compiled without AVX2.
 
+    /// Each pixel's opacity in all of its components.
+    ///
+    /// # Safety
+    /// AVX2 must be there.
+    #[inline(always)]
+    unsafe fn opacities(pixels: __m256i) -> __m256i {
+        // SAFETY: as the caller promises.
+        unsafe { _mm256_shufflehi_epi16::<0b11_11_11_11>(_mm256_shufflelo_epi16::<0b11_11_11_11>(pixels)) }
+    }
+
     impl Shorts for Avx2 {
         #[inline(always)]
         fn blend<const LOWER: bool, const MASKED: bool>(
@@ -163,13 +173,9 @@ mod avx2 {
                     );
                     sample = _mm256_adds_epi16(sample, _mm256_adds_epi16(before, after));
                 }
-                let opacity_of_each = _mm256_setr_epi8(
-                    6, 7, 6, 7, 6, 7, 6, 7, 14, 15, 14, 15, 14, 15, 14, 15, 6, 7, 6, 7, 6, 7, 6, 7, 14, 15, 14, 15, 14,
-                    15, 14, 15,
-                );
                 let limit = _mm256_set1_epi16(limit);
                 let front = _mm256_loadu_si256(pixels.as_ptr().cast());
-                let opacity = _mm256_shuffle_epi8(front, opacity_of_each);
+                let opacity = opacities(front);
                 let through = _mm256_sub_epi16(_mm256_set1_epi16(UNIT), opacity);
                 let through = _mm256_andnot_si256(_mm256_cmpgt_epi16(opacity, limit), through);
                 let mut behind = _mm256_mulhrs_epi16(sample, through);
@@ -199,11 +205,7 @@ mod avx2 {
                     2, 3, 2, 3, 2, 3, -1, -1, 6, 7, 6, 7, 6, 7, -1, -1, 10, 11, 10, 11, 10, 11, -1, -1, 14, 15, 14, 15,
                     14, 15, -1, -1,
                 );
-                let opacity_of_each = _mm256_setr_epi8(
-                    6, 7, 6, 7, 6, 7, 6, 7, 14, 15, 14, 15, 14, 15, 14, 15, 6, 7, 6, 7, 6, 7, 6, 7, 14, 15, 14, 15, 14,
-                    15, 14, 15,
-                );
-                let opacity = _mm256_shuffle_epi8(entries, opacity_of_each);
+                let opacity = opacities(entries);
                 let factored = _mm256_mulhrs_epi16(entries, _mm256_shuffle_epi8(lights, factor_of_each));
                 let added = _mm256_mulhrs_epi16(opacity, _mm256_shuffle_epi8(lights, addend_of_each));
                 let half = _mm256_adds_epi16(factored, added);

@@ -285,7 +285,7 @@ impl<T: Code> Unencoded<'_, T> {
 impl<T: Code> Unencoded<'_, T> {
     /// Shades the eight voxels from (i, j, k) on.
     #[inline(always)]
-    fn shade_block<M: SliceShader>(&self, [i, j, k]: [usize; 3], out: &mut [M::Pixel], material: M) {
+    fn shade_block<W: Shorts, M: SliceShader>(&self, [i, j, k]: [usize; 3], out: &mut [M::Pixel], material: M) {
         let codes = self.voxels.codes(j, k, i);
         let mut voxels = [Voxel { code: 0, normal: 0 }; BLOCK];
         let mut factors = [u8::MAX; BLOCK];
@@ -296,7 +296,7 @@ impl<T: Code> Unencoded<'_, T> {
                 factors[n] = self.factor(codes[n], at);
             }
         }
-        material.block(&voxels, &factors, [i, j, k], out);
+        material.voxels::<W>(&voxels, &factors, [i, j, k], out);
     }
 }
 
@@ -320,7 +320,7 @@ impl<'a, T: Code> Unencoded<'a, T> {
                 let first = i / BLOCK * BLOCK;
                 missing &= !run_mask(first % WORD, BLOCK);
                 *shaded |= run_mask(first % WORD, BLOCK);
-                self.shade_block([first, j, k], &mut row.voxels[first..first + BLOCK], material);
+                self.shade_block::<W, M>([first, j, k], &mut row.voxels[first..first + BLOCK], material);
             } else {
                 missing &= missing - 1;
                 let normal = if M::LIT { self.normals.at([i, j, k]) } else { 0 };

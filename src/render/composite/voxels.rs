@@ -234,7 +234,7 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
         });
     }
 
-    /// The same where more is to be done than to blend, compiled by itself.
+    /// The same where more is to be done than to blend, or pixels that are not opaque are not all open.
     #[inline(always)]
     fn blend_with_care<W: Shorts, const LOWER: bool>(
         &self,
