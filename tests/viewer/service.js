@@ -41,6 +41,10 @@ export class Service {
     const lines = createInterface({ input: child.stdout });
     const [line] = await once(lines, 'line', { signal: AbortSignal.timeout(PATIENCE) });
     this.address = String(line).replace('listening on ', '');
+    // A test that fails before it stops its service keeps the run from its end no longer, and leaves no service behind.
+    child.unref();
+    /** @type {import('node:net').Socket} */ (child.stdout).unref();
+    process.once('exit', () => child.kill());
     for (const start = Date.now(); !(await fetch(`${this.address}/readyz`)).ok; ) {
       if (Date.now() - start > PATIENCE) throw new Error('the service is never ready');
       await new Promise((resolve) => setTimeout(resolve, 100));
@@ -58,12 +62,19 @@ export class Service {
     return () => socket.destroy();
   }
 
+  /** Requests that wait for their turn. @returns {Promise<number>} */
+  async waiting() {
+    const metrics = await (await fetch(`${this.address}/metrics`)).text();
+    return Number(/^shearwarp_queue_depth (\S+)/m.exec(metrics)?.[1] ?? 0);
+  }
+
   async stop() {
     this.#front?.closeAllConnections();
     this.#front?.close();
     const child = this.#process;
     this.#process = null;
     if (!child || child.exitCode !== null) return;
+    child.ref();
     child.kill('SIGTERM');
     await once(child, 'exit');
   }

@@ -593,17 +593,21 @@ test('a busy service is named, and asked again when it said', async () => {
   release();
 });
 
-test('a full queue is survived', async () => {
+test('a full queue is survived', async (t) => {
   const small = await Service.start('127.0.0.1:0', { SHEARWARP_RENDER__QUEUE: '1', SHEARWARP_RENDER__JOBS: '1', SHEARWARP_STREAM__MAX_STREAMS: '1' });
+  const abort = new AbortController();
+  t.after(() => small.stop());
+  t.after(() => abort.abort());
   await small.hold();
   const seen = await arrived(CALM, {}, small);
+  // The page itself asks for nothing more.
+  await until(seen.page, () => seen.page.locator('.preset img').evaluateAll((images) => images.every((image) => !image.checkVisibility() || /^blob:/.test(image.getAttribute('src') ?? ''))));
   // Slow frames of others take the one job and the one place in the queue.
-  const abort = new AbortController();
   const slow = { algorithm: 'raycast', sample_distance: 0.01, early_ray_termination: 1, image: { width: 2048, height: 2048 } };
-  const others = Array.from({ length: 4 }, () => fetch(`${small.address}/v1/volumes/demo/frame`, {
+  const others = Array.from({ length: 2 }, () => fetch(`${small.address}/v1/volumes/demo/frame`, {
     method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(slow), signal: abort.signal,
   }).catch(() => null));
-  await seen.page.waitForTimeout(300);
+  await until(seen.page, async () => (await small.waiting()) === 1);
   await seen.page.locator('.preset[data-name="ct-bone"]').click();
   await seen.page.getByText('The service is busy').waitFor();
   abort.abort();
@@ -611,11 +615,11 @@ test('a full queue is survived', async () => {
   await rested(seen.page);
   assert.equal(await seen.page.locator('.message').count(), 0);
   await seen.close();
-  await small.stop();
 });
 
-test('a restart of the service is survived', async () => {
+test('a restart of the service is survived', async (t) => {
   const mortal = await Service.start();
+  t.after(() => mortal.stop());
   const seen = await connected(mortal);
   await drag(seen.page, '#view', [0.5, 0.5], [0.55, 0.5]);
   await rested(seen.page);
@@ -628,6 +632,7 @@ test('a restart of the service is survived', async () => {
   const icon = await seen.page.locator('.message .icon use').boundingBox();
   assert.ok(icon && icon.width > 5, 'icons need no service');
   const risen = await Service.start(new URL(mortal.address).host);
+  t.after(() => risen.stop());
   await seen.page.getByRole('button', { name: 'Try now' }).click({ timeout: 3000 }).catch(() => {});
   await rested(seen.page);
   assert.notEqual((await picture(seen.page)).hash, before.hash);
@@ -639,7 +644,6 @@ test('a restart of the service is survived', async () => {
     return seen.stream.frames.length > length;
   });
   await seen.close();
-  await risen.stop();
 });
 
 test('a refusal names the field', async () => {
