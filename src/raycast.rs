@@ -51,7 +51,7 @@ fn of_codes<T: Code>(
         }
         Blend::Projection(which, window) => {
             let octree = settings.skipping.then(|| scene.prepared.octree());
-            let intensity = Intensity::new(field, scene.prepared.volume(), which, window, octree);
+            let intensity = Intensity::new(field, scene, which, window, octree);
             rays.image(cancel, |_, stretch| intensity.pixel(stretch))
         }
     }

@@ -3,9 +3,12 @@
 //! Labels are names, so that nothing is interpolated between them: each voxel is classified by its own label's transfer
 //! function, and what is interpolated are extinctions and colours, as between voxels with colours of their own.
 
+mod gradients;
+
 use super::transfer::{ControlPoint, TransferFunction};
 use super::{CodeTables, Color};
 use crate::volume::{Scalars, Volume};
+use gradients::CommonGradientOpacity;
 
 /// What voxels of one label look like.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,8 +23,13 @@ pub struct LabelLook {
 pub struct LabelTables {
     /// For every code of the label volume which of the tables.
     by_code: Vec<u8>,
-    /// First that of voxels whose label nothing was said of.
+    /// First that of voxels whose label nothing was said of; so are those that follow.
     tables: Vec<CodeTables>,
+    transfers: Vec<TransferFunction>,
+    /// False for those that show nothing.
+    shown: Vec<bool>,
+    /// What a voxel's byte of gradient opacity, which is that of the [`union`], says of each; empty where none has one.
+    factors: Vec<[f32; 256]>,
 }
 
 impl LabelTables {
@@ -38,7 +46,8 @@ impl LabelTables {
         min_opacity: f64,
     ) -> Self {
         assert!(looks.len() < usize::from(u8::MAX));
-        let transfers = [others].into_iter().chain(looks.iter().map(|look| &look.transfer));
+        let transfers: Vec<_> = [others].into_iter().chain(looks.iter().map(|look| &look.transfer)).collect();
+        let common = CommonGradientOpacity::new(&transfers);
         let table_of = |code: u16| {
             let value = labels.value_of_code(code.into());
             let at = looks.iter().rposition(|look| f64::from(look.label) == value);
@@ -46,20 +55,50 @@ impl LabelTables {
         };
         Self {
             by_code: (0..=labels.code_range().1).map(table_of).collect(),
-            tables: transfers.map(|transfer| CodeTables::new(volume, transfer, min_opacity)).collect(),
+            tables: transfers.iter().map(|transfer| CodeTables::new(volume, transfer, min_opacity)).collect(),
+            factors: common
+                .map_or(vec![], |common| transfers.iter().map(|transfer| common.factors(transfer)).collect()),
+            shown: transfers.iter().map(|transfer| transfer.points.iter().any(|point| point.opacity > 0.0)).collect(),
+            transfers: transfers.into_iter().cloned().collect(),
         }
     }
 
     /// Bytes in memory.
     pub fn bytes(&self) -> u64 {
-        self.by_code.len() as u64 + self.tables.iter().map(CodeTables::bytes).sum::<u64>()
+        let tables = self.tables.iter().map(CodeTables::bytes).sum::<u64>();
+        let points = self.transfers.iter().map(|transfer| transfer.points.len() + transfer.gradient_opacity.len());
+        let points = points.sum::<usize>() * size_of::<ControlPoint>();
+        tables + (self.by_code.len() + size_of_val(&self.factors[..]) + points) as u64
+    }
+
+    /// Which of the tables is for a label, told by its code.
+    #[inline(always)]
+    fn of(&self, label: u16) -> usize {
+        self.by_code[usize::from(label)].into()
     }
 
     /// Colour and extinction per mm of a voxel, by its label's code and its own.
     #[inline(always)]
     pub fn look(&self, label: u16, code: u16) -> ([f32; 3], f32) {
-        let table = &self.tables[usize::from(self.by_code[usize::from(label)])];
+        let table = &self.tables[self.of(label)];
         (table.color[usize::from(code)], table.extinction[usize::from(code)])
+    }
+
+    /// Gradient opacity of a voxel, by its label's code and its byte of what the [`union`] has of it.
+    #[inline(always)]
+    pub fn gradient_factor(&self, label: u16, byte: u8) -> f32 {
+        self.factors.get(self.of(label)).map_or(1.0, |factors| factors[usize::from(byte)])
+    }
+
+    /// The same by a gradient's magnitude in scalar units per mm, exactly.
+    pub fn gradient_factor_at(&self, label: u16, magnitude: f64) -> f64 {
+        self.transfers[self.of(label)].gradient_factor(magnitude)
+    }
+
+    /// False where no voxel of a label shows, whatever its scalar.
+    #[inline(always)]
+    pub fn is_shown(&self, label: u16) -> bool {
+        self.shown[self.of(label)]
     }
 }
 
@@ -70,9 +109,24 @@ pub struct Labels<'a> {
     pub tables: &'a LabelTables,
 }
 
+impl Labels<'_> {
+    /// False where nothing shows of the label of a voxel, told by its index (x fastest).
+    #[inline(always)]
+    pub fn shows(&self, voxel: usize) -> bool {
+        self.tables.is_shown(self.voxels.code(voxel))
+    }
+}
+
+/// Gradient magnitudes at which any of several transfer functions' gradient opacity has a point.
+pub fn gradient_points<'a>(transfers: impl Iterator<Item = &'a TransferFunction>) -> usize {
+    gradients::magnitudes(&transfers.collect::<Vec<_>>()).len()
+}
+
 /// A transfer function that shows nothing exactly where none of several shows anything: what is skipped by it is transparent,
-/// whatever its label.
+/// whatever its label. Its gradient opacity tells those of all ([`LabelTables::gradient_factor`]).
 pub fn union<'a>(transfers: impl Iterator<Item = &'a TransferFunction>, opacity_distance: f64) -> TransferFunction {
+    let transfers: Vec<_> = transfers.collect();
+    let common = CommonGradientOpacity::new(&transfers);
     // Something shows between two points of which one does, and beyond the outermost ones as on them.
     let mut shown: Vec<[f64; 2]> = vec![];
     for TransferFunction { points, .. } in transfers {
@@ -101,7 +155,7 @@ pub fn union<'a>(transfers: impl Iterator<Item = &'a TransferFunction>, opacity_
     TransferFunction {
         points: corners.into_iter().map(point).collect(),
         opacity_distance: Some(opacity_distance),
-        gradient_opacity: vec![],
+        gradient_opacity: common.map_or(vec![], |common| common.points()),
     }
 }
 

@@ -149,6 +149,15 @@ impl TransferFunction {
         lerp(low.opacity, high.opacity, t)
     }
 
+    /// The same just below a gradient magnitude: another factor where there is a step.
+    pub fn gradient_factor_below(&self, magnitude: f64) -> f64 {
+        let first = self.gradient_opacity.iter().find(|point| point.value >= magnitude);
+        match first.filter(|point| point.value == magnitude) {
+            Some(point) => point.opacity,
+            None => self.gradient_factor(magnitude),
+        }
+    }
+
     /// True where everything in these ranges of scalar and gradient magnitude has opacity zero.
     /// Piecewise linear functions are zero over a range if they are at its ends and at every point
     /// inside.

@@ -104,10 +104,15 @@ impl<'a, T: Code> Medium<'a, T> {
     /// Colour and extinction between voxels that look each as they are.
     fn painted(&self, place: Place) -> (DVec3, f64) {
         let colors = self.volume.colors().map_or(&[][..], |colors| &colors.voxels);
+        // Each label has a gradient opacity of its own.
+        let by_gradient = self.labels.is_some() && !self.transfer.gradient_opacity.is_empty();
+        let magnitude = if by_gradient { self.field.gradient(place).length() } else { 0.0 };
         let sum = self.field.interpolated(place, |index| {
             if let Some(Labels { voxels, tables }) = self.labels {
-                let (color, tau) = tables.look(voxels.code(index), self.volume.scalars().code(index));
-                return (DVec3::from_array(color.map(f64::from)) * f64::from(tau)).extend(tau.into());
+                let label = voxels.code(index);
+                let (color, tau) = tables.look(label, self.volume.scalars().code(index));
+                let tau = f64::from(tau) * tables.gradient_factor_at(label, magnitude);
+                return (DVec3::from_array(color.map(f64::from)) * tau).extend(tau);
             }
             let [r, g, b, code] = colors[index].map(f64::from);
             let opacity = self.transfer.opacity(code);
@@ -131,7 +136,9 @@ impl<'a, T: Code> Medium<'a, T> {
         let gradient = self.field.gradient(place);
         let color =
             self.shading.map_or(color, |shading| lit(color, gradient, to_eye, shading, self.transmittance(place)));
-        (color, tau * self.transfer.gradient_factor(gradient.length()))
+        // That of labels is in the extinction between voxels.
+        let factor = if self.labels.is_some() { 1.0 } else { self.transfer.gradient_factor(gradient.length()) };
+        (color, tau * factor)
     }
 
     /// How much of the light that casts shadows comes through.

@@ -45,6 +45,12 @@ impl<'a, T: Code> Field<'a, T> {
         (k * self.leaf_dims[1] + j) * self.leaf_dims[0] + i
     }
 
+    /// The index of the voxel next to a place.
+    pub(super) fn nearest_voxel(&self, Place { cell, fraction }: Place) -> usize {
+        let [i, j, k] = [0, 1, 2].map(|axis| cell[axis] + usize::from(fraction[axis] >= 0.5));
+        (k * self.dims[1] + j) * self.dims[0] + i
+    }
+
     /// The interpolated code. Never outside of what the cell's voxels range over, not by rounding
     /// either, so that what holds for a leaf's range holds for it.
     pub(super) fn code(&self, Place { cell, fraction }: Place) -> f64 {

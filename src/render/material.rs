@@ -79,7 +79,13 @@ pub trait Light: Copy + Debug + Send + Sync {
         entry
     }
 
-    /// The same: the weight of its colour among others, by its optical depth.
+    /// What is left of a voxel's optical depth by its byte of gradient opacity.
+    #[inline(always)]
+    fn factored(self, depth: f32, factor: u8, _: [usize; 3]) -> f32 {
+        depth * f32::from(factor) / 255.0
+    }
+
+    /// Where voxels are [`Light::PAINTED`]: the weight of its colour among others, by its optical depth.
     #[inline(always)]
     fn weight(self, depth: f32) -> f32 {
         depth
@@ -240,6 +246,15 @@ impl Light for Painted<'_> {
     }
 
     #[inline(always)]
+    fn factored(self, depth: f32, factor: u8, at: [usize; 3]) -> f32 {
+        match self.paint {
+            Paint::Colors(_) => depth * f32::from(factor) / 255.0,
+            Paint::Labels8(labels, tables) => depth * tables.gradient_factor(labels.at(at).into(), factor),
+            Paint::Labels16(labels, tables) => depth * tables.gradient_factor(labels.at(at), factor),
+        }
+    }
+
+    #[inline(always)]
     fn weight(self, depth: f32) -> f32 {
         match self.sampling {
             Sampling::Extinction => depth,
@@ -345,10 +360,10 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
         let entry = self.table[usize::from(code)];
         let entry = if H::PAINTED { self.light.paint(entry, code, at) } else { entry };
         let alpha = if H::PAINTED {
-            let depth = if FACTORED { entry.w * f32::from(factor) / 255.0 } else { entry.w };
+            let depth = if FACTORED { self.light.factored(entry.w, factor, at) } else { entry.w };
             self.light.weight(depth)
         } else if FACTORED {
-            opacity(entry.w * f32::from(factor) / 255.0)
+            opacity(self.light.factored(entry.w, factor, at))
         } else {
             entry.w
         };

@@ -335,11 +335,14 @@ impl Cast<'_> {
             opacities.iter_mut().zip(codes).enumerate().filter(|(_, (opacity, _))| **opacity > 0.0)
         {
             let (code, i): (u16, _) = ((*code).into(), first + n);
-            let extinction = match self.labels {
-                Some(Labels { voxels, tables }) => tables.look(voxels.code(i * si + j * sj + k * sk), code).1,
-                None => self.tables.extinction[usize::from(code)],
+            let byte = voxels.gradient_factor([i, j, k]);
+            let (extinction, factor) = match self.labels {
+                Some(Labels { voxels, tables }) => {
+                    let label = voxels.code(i * si + j * sj + k * sk);
+                    (tables.look(label, code).1, tables.gradient_factor(label, byte))
+                }
+                None => (self.tables.extinction[usize::from(code)], f32::from(byte) / 255.0),
             };
-            let factor = f32::from(voxels.gradient_factor([i, j, k])) / 255.0;
             *opacity = -(-extinction * factor * self.factorization.slice_distance as f32).exp_m1();
         }
     }

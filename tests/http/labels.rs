@@ -1,6 +1,6 @@
 //! Segmentations: another volume by which voxels look otherwise.
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::service::{Running, header, problem, write_ball};
 
@@ -82,19 +82,19 @@ async fn labels_are_hidden_coloured_and_shown_by_other_transfer_functions() {
 async fn in_regions_labels_look_as_they_say_and_other_voxels_as_the_region() {
     let service = running().await;
     let points = |color: &str, opacity: f64| {
-        serde_json::json!({"points": [
+        json!({"points": [
             {"value": 50, "opacity": 0, "color": color}, {"value": 150, "opacity": opacity, "color": color}
         ]})
     };
     // The upper half of the ball; label 1 is on the left of the picture.
     let region = |more: Value| {
-        let mut region = serde_json::json!({"plane": {"point": [11.5, 11.5, 11.5], "normal": [0, 0, 1]}});
+        let mut region = json!({"plane": {"point": [11.5, 11.5, 11.5], "normal": [0, 0, 1]}});
         json_patch::merge(&mut region, &more);
         region
     };
     for algorithm in ["classified", "fast-classification", "raycast"] {
         let ask = async |looks: Value, region: Value| {
-            let request = serde_json::json!({
+            let request = json!({
                 "image": {"width": 32, "height": 32, "format": "raw"}, "shading": false, "algorithm": algorithm,
                 "transfer_function": points("#ff0000", 0.9), "labels": {"volume": "halves", "looks": looks},
                 "regions": [region],
@@ -107,16 +107,64 @@ async fn in_regions_labels_look_as_they_say_and_other_voxels_as_the_region() {
             [at(12, 12), at(19, 12), at(12, 19), at(19, 19)].map(|pixel| pixel.map(|channel| channel / 128 * 255))
         };
         let [red, green, blue, nothing] = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [0; 3]];
-        let in_green = region(serde_json::json!({"transfer_function": points("#00ff00", 0.9)}));
-        let none = serde_json::json!([]);
+        let in_green = region(json!({"transfer_function": points("#00ff00", 0.9)}));
+        let none = json!([]);
         assert_eq!(ask(none, in_green.clone()).await, [green, green, red, red], "{algorithm}");
-        let in_blue = serde_json::json!([{"label": 1, "transfer_function": points("#0000ff", 0.9)}]);
+        let in_blue = json!([{"label": 1, "transfer_function": points("#0000ff", 0.9)}]);
         assert_eq!(ask(in_blue.clone(), in_green.clone()).await, [blue, green, blue, red], "{algorithm}");
-        let hidden = serde_json::json!([{"label": 1, "visible": false}]);
+        let hidden = json!([{"label": 1, "visible": false}]);
         assert_eq!(ask(hidden, in_green).await, [nothing, green, nothing, red], "{algorithm}");
-        let clear = region(serde_json::json!({"opacity": 0}));
+        let clear = region(json!({"opacity": 0}));
         assert_eq!(ask(in_blue, clear).await, [nothing, nothing, blue, red], "{algorithm}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn labels_go_with_projections_and_gradient_opacity() {
+    let service = running().await;
+    let points = |opacity: f64| json!([{"value": 50, "opacity": 0, "color": "#ffffff"}, {"value": 150, "opacity": opacity, "color": "#ffffff"}]);
+    let hidden = json!({"points": [{"value": 0, "opacity": 0, "color": "#ffffff"}]});
+    // Within the ball nothing changes; what its rim has is far beyond.
+    let flat = json!([{"value": 1, "opacity": 1}, {"value": 2, "opacity": 0}]);
+    for (fields, shown) in [
+        (json!({"blend": "maximum", "window": {"center": 100, "width": 200}}), [true, true]),
+        (
+            json!({"blend": "maximum", "labels": {"volume": "halves", "looks": [{"label": 2, "visible": false}]}}),
+            [true, false],
+        ),
+        (
+            json!({"blend": "average", "transfer_function": hidden, "labels": {
+                "volume": "halves", "looks": [{"label": 2, "transfer_function": {"points": points(0.9)}}]}}),
+            [false, true],
+        ),
+        (
+            json!({"algorithm": "raycast", "blend": "maximum", "labels": {"volume": "halves", "looks": [{"label": 2, "visible": false}]}}),
+            [true, false],
+        ),
+        (
+            json!({"transfer_function": {"points": points(0.9), "gradient_opacity": flat}, "labels": {
+                "volume": "halves", "looks": [{"label": 1, "visible": false}]}}),
+            [false, true],
+        ),
+        (
+            json!({"transfer_function": {"points": points(0.9), "gradient_opacity": [{"value": 1000, "opacity": 0}]}, "labels": {
+                "volume": "halves", "looks": [{"label": 2, "transfer_function": {"points": points(0.9)}}]}}),
+            [false, true],
+        ),
+    ] {
+        let mut request = json!({
+            "image": {"width": 32, "height": 32, "format": "raw", "background": "transparent"}, "shading": false,
+            "transfer_function": {"points": points(0.9)}, "labels": {"volume": "halves"},
+        });
+        json_patch::merge(&mut request, &fields);
+        let response = service.post(FRAME, &request.to_string()).await;
+        assert_eq!(response.status(), 200, "{request}");
+        let pixels = response.bytes().await.unwrap();
+        let alpha = |x: usize| pixels[4 * (32 * 16 + x) + 3] > 20;
+        assert_eq!([alpha(12), alpha(19)], shown, "{request}");
+    }
+    let preset = r#"{"labels": {"volume": "halves", "looks": [{"label": 1, "transfer_function": "ct-vessels"}]}}"#;
+    assert_eq!(service.post(FRAME, preset).await.status(), 200);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -125,6 +173,13 @@ async fn labels_that_do_not_fit_are_refused() {
     let (look, region) = (r#"{"label": 1}"#, r#"{"sphere": {"center": [0, 0, 0], "radius": 1}}"#);
     let (looks, regions) = ([look; 63].join(", "), [region; 4].join(", "));
     let many = format!(r#""labels": {{"volume": "halves", "looks": [{looks}]}}, "regions": [{regions}]"#);
+    // Gradient opacities with points at 1200 magnitudes in all.
+    let looks = [0, 1].map(|label| {
+        let points: Vec<_> = (0..600).map(|n| json!({"value": 2 * n + label, "opacity": 0.5})).collect();
+        let transfer = json!({"points": [{"value": 0, "opacity": 1, "color": "#ffffff"}], "gradient_opacity": points});
+        json!({"label": label, "transfer_function": transfer})
+    });
+    let steep = format!(r#""labels": {{"volume": "halves", "looks": {}}}"#, json!(looks));
     for (fields, pointer) in [
         (r#""labels": {"volume": "none"}"#, "/labels/volume"),
         (r#""labels": {"volume": "small"}"#, "/labels/volume"),
@@ -138,27 +193,22 @@ async fn labels_that_do_not_fit_are_refused() {
             r#""labels": {"volume": "halves", "looks": [{"label": 1, "transfer_function": "none"}]}"#,
             "/labels/looks/0/transfer_function",
         ),
-        (r#""labels": {"volume": "halves"}, "transfer_function": "ct-vessels""#, "/transfer_function"),
-        (
-            r#""labels": {"volume": "halves", "looks": [{"label": 1, "transfer_function": "ct-vessels"}]}"#,
-            "/labels/looks/0/transfer_function",
-        ),
+        (&steep, "/labels/looks"),
         (r#""labels": {"volume": "measured"}"#, "/labels/volume"),
         (r#""labels": {"volume": "halves"}, "algorithm": "preintegrated""#, "/algorithm"),
-        (r#""labels": {"volume": "halves"}, "blend": "maximum""#, "/labels"),
         (r#""labels": {"volume": "halves"}, "level": 1"#, "/level"),
         (
             r#""labels": {"volume": "halves"}, "regions": [{"sphere": {"center": [0, 0, 0], "radius": 1}, "blend": "maximum"}]"#,
             "/regions/0/blend",
         ),
         (
-            r#""labels": {"volume": "halves"}, "regions": [{"sphere": {"center": [0, 0, 0], "radius": 1}, "transfer_function": "ct-vessels"}]"#,
-            "/regions/0/transfer_function",
+            r#""labels": {"volume": "halves"}, "blend": "maximum", "regions": [{"sphere": {"center": [0, 0, 0], "radius": 1}, "blend": "composite"}]"#,
+            "/regions/0/blend",
         ),
         (&many, "/labels/looks"),
     ] {
         let problem = problem(service.post(FRAME, &format!("{{{fields}}}")).await).await;
         let told = (&problem["status"], &problem["errors"][0]["pointer"]);
-        assert_eq!(told, (&422.into(), &pointer.into()), "{fields}");
+        assert_eq!(told, (&422.into(), &pointer.into()), "{fields:.200}");
     }
 }

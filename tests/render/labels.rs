@@ -2,8 +2,12 @@
 
 use proptest::prelude::*;
 use shearwarp::classify::labels::{LabelLook, LabelTables, Labels, union};
+use shearwarp::classify::transfer::GradientPoint;
 use shearwarp::classify::{Classification, Encodings, Purpose, TransferFunction};
-use shearwarp::render::{Algorithm, Cancel, Image, Projection, Scene, Settings, Shading, View, render};
+use shearwarp::render::{
+    Algorithm, Blend, Cancel, Image, IntensityProjection, Preintegration, Projection, Quality, Scene, Settings,
+    Shading, View, Window, render,
+};
 use shearwarp::volume::{ImportReport, PreparedVolume, ScalarType, Scalars, Volume, phantom};
 
 use crate::scenes::{on_threads, orbit, plain, psnr, transfer};
@@ -20,7 +24,7 @@ struct Labelled {
 impl Labelled {
     fn new(volume: Volume, labels: Volume, looks: &[LabelLook], others: &TransferFunction) -> Self {
         let tables = LabelTables::new(&volume, &labels, looks, others, 0.0);
-        let transfer = union(looks.iter().map(|look| &look.transfer).chain([others]), 1.0);
+        let transfer = union([others].into_iter().chain(looks.iter().map(|look| &look.transfer)), 1.0);
         let prepared = PreparedVolume::build(volume);
         let classification = Classification::build(&prepared, &transfer, Purpose::Voxels { min_opacity: 0.0 });
         let encodings = Encodings::build(&prepared, &transfer, &classification);
@@ -110,12 +114,129 @@ fn labels_are_where_the_ray_caster_has_them() {
     }
 }
 
+/// Opacity of the scalars, and of the gradients.
+fn by_gradient(points: &[(f64, f64)], gradients: &[(f64, f64)]) -> TransferFunction {
+    let gradient_opacity = gradients.iter().map(|&(value, opacity)| GradientPoint { value, opacity }).collect();
+    TransferFunction { gradient_opacity, ..transfer(points) }
+}
+
+#[test]
+fn each_label_has_its_own_gradient_opacity() {
+    // A ramp along x, of 3 a voxel, and where i is large of 30; halves along z.
+    let volume =
+        phantom::from_fn(
+            [40, 24, 24],
+            [1.0; 3],
+            |x, _, _| if x < 20 { 3.0 * x as f64 } else { 30.0 * x as f64 - 540.0 },
+        );
+    let labels = segmentation(&volume, false, |[_, _, k]| u16::from(k >= 12));
+    let medium = [(0.0, 0.05), (700.0, 0.05)];
+    let (steep, gentle) = ([(10.0, 0.0), (20.0, 1.0)], [(10.0, 1.0), (20.0, 0.0)]);
+    let plain_medium = transfer(&medium);
+    let others = by_gradient(&medium, &steep);
+    for (upper, wanted) in
+        [(by_gradient(&medium, &gentle), [true, false]), (plain_medium, [true, true]), (others.clone(), [false, true])]
+    {
+        let scene = Labelled::new(volume.clone(), labels.clone(), &[LabelLook { label: 1, transfer: upper }], &others);
+        for projection in [Projection::Parallel, Projection::Perspective] {
+            let view = scene.view(projection, 0.0, 0.0);
+            for algorithm in [Algorithm::Classified, Algorithm::FastClassification, Algorithm::Raycast] {
+                let frame = scene.frame(&view, &plain(algorithm));
+                // Above is label 1; the other half shows what is steep, on the right.
+                let shown = |x: usize, y: usize| match frame.pixels[4 * (64 * y + x) + 3] {
+                    0 => false,
+                    150.. => true,
+                    alpha => panic!("{algorithm:?}: {alpha} at {x}, {y}"),
+                };
+                let got = [shown(25, 23), shown(39, 23), shown(25, 33), shown(39, 33)];
+                assert_eq!(got, [wanted[0], wanted[1], false, true], "{algorithm:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn gradient_opacities_of_labels_are_the_ray_casters() {
+    let dims = [36, 40, 34];
+    let volume = phantom::noise(dims, 9);
+    let labels = segmentation(&volume, false, eighths(dims));
+    let others = by_gradient(&[(0.0, 0.0), (1500.0, 0.0), (2800.0, 0.2)], &[(50.0, 0.2), (400.0, 1.0)]);
+    let looks = [
+        LabelLook { label: 1, transfer: by_gradient(&[(0.0, 0.05), (3000.0, 0.05)], &[(100.0, 1.0), (300.0, 0.1)]) },
+        LabelLook { label: 5, transfer: transfer(&[(1000.0, 0.3), (2000.0, 0.0)]) },
+    ];
+    let scene = Labelled::new(volume, labels, &looks, &others);
+    for (azimuth, elevation) in [(20.0, 10.0), (100.0, -30.0), (250.0, 75.0)] {
+        let view = scene.view(Projection::Parallel, azimuth, elevation);
+        let exact = Settings { sample_distance: 0.1, ..plain(Algorithm::Raycast) };
+        let truth = scene.frame(&view, &exact);
+        let db = psnr(&scene.frame(&view, &Settings { algorithm: Algorithm::Classified, ..exact }), &truth);
+        assert!(db > 28.0, "{azimuth}: {db} dB");
+    }
+}
+
+#[test]
+fn projections_are_of_what_labels_show() {
+    // Bright where i is large, and dark within it; both may be hidden.
+    let dims = [32, 28, 24];
+    let bright = |[i, j, k]: [usize; 3]| i >= 16 && (4..24).contains(&j) && (4..20).contains(&k);
+    let volume = phantom::from_fn(dims, [1.0; 3], |x, y, z| {
+        let at = [x, y, z];
+        if at == [24, 14, 12] {
+            0.0
+        } else if bright(at) {
+            200.0
+        } else {
+            100.0
+        }
+    });
+    let labels = segmentation(&volume, false, |at| if at == [24, 14, 12] { 3 } else { u16::from(bright(at)) });
+    let (shown, hidden) = (transfer(&[(0.0, 0.1)]), transfer(&[(0.0, 0.0)]));
+    let look = |label, transfer: &TransferFunction| LabelLook { label, transfer: transfer.clone() };
+    let window = Window { center: 128.0, width: 256.0 };
+    // Looked at from in front: gray in the middle of the left half, of the right half, and beside the bright part.
+    let gray = |looks: &[LabelLook], others: &TransferFunction, which| {
+        let scene = Labelled::new(volume.clone(), labels.clone(), looks, others);
+        let view = scene.view(Projection::Parallel, 0.0, 0.0);
+        let settings = |algorithm| Settings {
+            quality: Quality::High,
+            preintegration: Preintegration::of(Quality::High),
+            blend: Blend::Projection(which, window),
+            ..plain(algorithm)
+        };
+        let frames = [Algorithm::Preintegrated, Algorithm::Raycast].map(|a| scene.frame(&view, &settings(a)));
+        let without = Settings { skipping: false, ..settings(Algorithm::Preintegrated) };
+        assert!(frames[0] == scene.frame(&view, &without), "{which:?} skips");
+        let pixels = frames.map(|frame| {
+            [22, 40].map(|x| {
+                let pixel = &frame.pixels[4 * (28 * 64 + x)..][..4];
+                (pixel[3] > 0).then_some(pixel[0])
+            })
+        });
+        for (a, b) in pixels[0].iter().zip(&pixels[1]) {
+            let near = a.is_some() == b.is_some() && a.unwrap_or(0).abs_diff(b.unwrap_or(0)) <= 3;
+            assert!(near, "{which:?}: {pixels:?}");
+        }
+        pixels[0]
+    };
+    use IntensityProjection::{Average, Maximum, Minimum};
+    assert_eq!(gray(&[], &shown, Maximum), [Some(100), Some(199)]);
+    // At the border of what is hidden, samples closer to what is not are between both.
+    let [left, right] = gray(&[look(1, &hidden), look(3, &hidden)], &shown, Maximum);
+    assert!(left == Some(100) && (100..=150).contains(&right.unwrap()), "{right:?}");
+    assert_eq!(gray(&[look(1, &shown)], &hidden, Maximum), [None, Some(199)]);
+    assert_eq!(gray(&[look(1, &shown)], &hidden, Minimum)[0], None);
+    let [left, right] = gray(&[look(1, &shown)], &hidden, Average);
+    assert!(left.is_none() && right.unwrap() > 190, "{right:?}");
+    assert_eq!(gray(&[], &hidden, Average), [None, None]);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
     #[test]
     fn encodings_skipping_and_threads_change_no_bit(
         azimuth in 0.0..360.0, elevation in -90.0..90.0, perspective: bool, lit: bool, wide: bool, seed in 0..100u32,
-        opacity in 0.0..1.0,
+        opacity in 0.0..1.0, gradients: bool,
     ) {
         let dims = [19, 23, 17];
         let volume = phantom::noise(dims, seed);
@@ -124,7 +245,8 @@ proptest! {
             LabelLook { label: 3, transfer: transfer(&[(0.0, opacity), (2000.0, 0.0)]) },
             LabelLook { label: 4, transfer: transfer(&[(0.0, 0.0)]) },
         ];
-        let scene = Labelled::new(volume, labels, &looks, &transfer(&[(1700.0, 0.0), (2500.0, 0.4)]));
+        let curve = if gradients { &[(100.0, 0.0), (200.0, 0.7), (200.0, 0.1)][..] } else { &[] };
+        let scene = Labelled::new(volume, labels, &looks, &by_gradient(&[(1700.0, 0.0), (2500.0, 0.4)], curve));
         let projection = if perspective { Projection::Perspective } else { Projection::Parallel };
         let view = scene.view(projection, azimuth, elevation);
         let shading = lit.then(Shading::default);

@@ -1,7 +1,7 @@
 //! Shadows: how much of a light reaches each voxel, and what is seen of that.
 
 use glam::DVec3;
-use shearwarp::classify::labels::{LabelLook, LabelTables, Labels};
+use shearwarp::classify::labels::{LabelLook, LabelTables, Labels, union};
 use shearwarp::classify::{GradientPoint, TransferFunction};
 use shearwarp::render::shadow::{BIAS, Shadow};
 use shearwarp::render::{
@@ -209,6 +209,26 @@ fn labels_that_are_not_visible_cast_none() {
     let shadow = Shadow::cast(&prepared, &medium, Some(labels), DVec3::Z, &Clip::default(), &[]);
     let at = |x: usize| shadow.lacking()[(10 * 32 + 16) * 32 + x];
     assert!(at(8) == 0 && at(24) > 200, "{} {}", at(8), at(24));
+}
+
+#[test]
+fn labels_cast_shadows_by_their_own_gradient_opacity() {
+    // No gradient anywhere: only the label shows that asks for none.
+    let volume = phantom::from_fn([32; 3], [1.0; 3], |_, _, _| 100.0);
+    let labels: Vec<u8> = (0..32 * 32 * 32).map(|n| u8::from(n >= 24 * 32 * 32 && n % 32 < 16)).collect();
+    let report = ImportReport::plain("test", ScalarType::U8);
+    let labels = Volume::new([32; 3], *volume.placement(), Scalars::U8(labels), (1.0, 0.0), report).unwrap();
+    let flat = transfer(&[(0.0, 0.5)]);
+    let gradient_opacity = [(0.5, 0.0), (1.0, 1.0)].map(|(value, opacity)| GradientPoint { value, opacity }).to_vec();
+    let steep = TransferFunction { gradient_opacity, ..flat.clone() };
+    let look = LabelLook { label: 1, transfer: flat };
+    let tables = LabelTables::new(&volume, &labels, std::slice::from_ref(&look), &steep, 0.0);
+    let transfer = union([&steep, &look.transfer].into_iter(), 1.0);
+    let prepared = PreparedVolume::build(volume);
+    let labels = Labels { voxels: labels.scalars(), tables: &tables };
+    let shadow = Shadow::cast(&prepared, &transfer, Some(labels), DVec3::Z, &Clip::default(), &[]);
+    let at = |x: usize| shadow.lacking()[(10 * 32 + 16) * 32 + x];
+    assert!(at(8) > 200 && at(24) == 0, "{} {}", at(8), at(24));
 }
 
 #[test]

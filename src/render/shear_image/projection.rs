@@ -4,6 +4,9 @@
 //! what a ray has found: below its maximum, above its minimum, or of one scalar throughout.
 //! Interpolated scalars can leave their voxels' range by a rounding error, so a leaf is passed over
 //! only where its range is half a code from mattering: skipping changes no bit.
+//!
+//! With a segmentation a sample counts where the label of the voxel next to it shows anything. The half of a slab
+//! that is closer to a sample is that one's.
 
 use glam::Vec4;
 
@@ -11,6 +14,7 @@ use super::packet::Packet;
 use super::sampler::Sampler;
 use super::skip::Skip;
 use super::{Frame, Pixels};
+use crate::classify::labels::Labels;
 use crate::render::{IntensityProjection, RenderError, Scene, Timings, Window};
 use crate::simd::wide::{LANES, Lanes, Wide};
 use crate::volume::gradient::Code;
@@ -29,7 +33,10 @@ pub(super) fn frame<T: Code>(
     let black = window.center - window.width / 2.0;
     let walk = Walk {
         sampler: Sampler::new(codes, volume.dims()),
-        octree: frame.settings.skipping.then(|| scene.prepared.octree()),
+        // Of a mean, what of the ray counts matters everywhere.
+        octree: (frame.settings.skipping && !(scene.labels.is_some() && which == IntensityProjection::Average))
+            .then(|| scene.prepared.octree()),
+        labels: scene.labels,
         skip: Skip::nothing(volume.dims()),
         steps: frame.settings.preintegration.samples_per_voxel,
         scale: (slope / window.width) as f32,
@@ -47,6 +54,7 @@ struct Walk<'a, T> {
     sampler: Sampler<'a, T>,
     /// `None`: nothing is skipped.
     octree: Option<&'a MinMaxOctree>,
+    labels: Option<Labels<'a>>,
     skip: Skip<'a>,
     /// Slabs from a slice of voxels to the next.
     steps: usize,
@@ -71,6 +79,13 @@ trait Reduce: Sync {
 
     /// The code to show after a ray of a length.
     fn code(&self, found: f32, length: f32) -> f32;
+}
+
+/// What eight rays have found.
+struct Found {
+    code: Lanes,
+    /// Slices that counted, where that is not all of the ray.
+    length: Lanes,
 }
 
 /// A code's half: more than any rounding error.
@@ -181,7 +196,7 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
         let Walk { sampler, steps, scale, offset, .. } = self.walk;
         let hits = packet.hits();
         let mut open = hits;
-        let mut found = [R::START; LANES];
+        let mut found = Found { code: [R::START; LANES], length: [0.0; LANES] };
         let (enter, leave) = packet.span();
         let inside = packet.inside(hits);
         let end = (leave.ceil() as usize).min(sampler.dims()[packet.axis] - 1);
@@ -189,7 +204,7 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
         let mut front = [0.0; LANES];
         let (mut layer, mut reached) = (enter.floor() as usize, usize::MAX);
         while open != 0 {
-            layer = self.next_layer(packet, layer, end, open, &found);
+            layer = self.next_layer(packet, layer, end, open, &found.code);
             if layer >= end {
                 break;
             }
@@ -206,28 +221,82 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
                 if span[0] < inside.0 || span[1] > inside.1 {
                     self.ends(packet, open, span, &front, &back, &mut found);
                 } else {
-                    for lane in 0..LANES {
-                        let added = self.reduce.add(found[lane], front[lane], back[lane], span[1] - span[0]);
-                        found[lane] = if open >> lane & 1 == 1 { added } else { found[lane] };
+                    match self.walk.labels {
+                        None => self.whole(open, span, &front, &back, &mut found),
+                        Some(labels) => self.labelled(packet, open, labels, span, &front, &back, &mut found),
                     }
                 }
                 front = back;
             }
-            open &= !(0..LANES).fold(0, |done, lane| done | u32::from(self.reduce.is_done(found[lane])) << lane);
+            open &= !(0..LANES).fold(0, |done, lane| done | u32::from(self.reduce.is_done(found.code[lane])) << lane);
             layer += 1;
             reached = layer;
         }
         std::array::from_fn(|lane| {
-            if hits >> lane & 1 == 0 {
+            let length = match self.walk.labels {
+                None => packet.leave[lane] - packet.enter[lane],
+                Some(_) => found.length[lane],
+            };
+            if hits >> lane & 1 == 0 || length <= 0.0 {
                 return Vec4::ZERO;
             }
-            let code = self.reduce.code(found[lane], packet.leave[lane] - packet.enter[lane]);
+            let code = self.reduce.code(found.code[lane], length);
             Vec4::splat((code * scale + offset).clamp(0.0, 1.0)).with_w(1.0)
         })
     }
 }
 
 impl<T: Code, R: Reduce> Project<'_, T, R> {
+    /// A slab that counts.
+    #[inline(always)]
+    fn whole(&self, open: u32, [from, to]: [f32; 2], front: &Lanes, back: &Lanes, found: &mut Found) {
+        for lane in 0..LANES {
+            let added = self.reduce.add(found.code[lane], front[lane], back[lane], to - from);
+            found.code[lane] = if open >> lane & 1 == 1 { added } else { found.code[lane] };
+        }
+    }
+
+    /// A slab of which counts what labels show.
+    #[inline(never)]
+    #[allow(clippy::too_many_arguments)]
+    fn labelled(
+        &self,
+        packet: &Packet,
+        open: u32,
+        labels: Labels<'_>,
+        span: [f32; 2],
+        front: &Lanes,
+        back: &Lanes,
+        found: &mut Found,
+    ) {
+        for lane in (0..LANES).filter(|lane| open >> lane & 1 == 1) {
+            self.slab(packet, lane, Some(labels), span, [front[lane], back[lane]], found);
+        }
+    }
+
+    /// The slab of one ray.
+    fn slab(
+        &self,
+        packet: &Packet,
+        lane: usize,
+        labels: Option<Labels<'_>>,
+        [from, to]: [f32; 2],
+        [front, back]: [f32; 2],
+        found: &mut Found,
+    ) {
+        let sampler = &self.walk.sampler;
+        let shows =
+            |t| labels.is_none_or(|labels| labels.shows(sampler.nearest_voxel(sampler.position(packet, lane, t))));
+        let (front, back, length) = match (shows(from), shows(to)) {
+            (true, true) => (front, back, to - from),
+            (true, false) => (front, front, 0.5 * (to - from)),
+            (false, true) => (back, back, 0.5 * (to - from)),
+            (false, false) => return,
+        };
+        found.code[lane] = self.reduce.add(found.code[lane], front, back, length);
+        found.length[lane] += length;
+    }
+
     /// The first layer from `layer` on whose leaves matter to an open lane.
     #[inline(always)]
     fn next_layer(&self, packet: &Packet, mut layer: usize, end: usize, open: u32, found: &Lanes) -> usize {
@@ -253,7 +322,7 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
 
     /// Slabs some of which are cut by an end of their ray.
     #[inline(never)]
-    fn ends(&self, packet: &Packet, open: u32, [from, to]: [f32; 2], front: &Lanes, back: &Lanes, found: &mut Lanes) {
+    fn ends(&self, packet: &Packet, open: u32, [from, to]: [f32; 2], front: &Lanes, back: &Lanes, found: &mut Found) {
         for lane in (0..LANES).filter(|lane| open >> lane & 1 == 1) {
             let (enter, leave) = (packet.enter[lane].max(from), packet.leave[lane].min(to));
             if enter >= leave {
@@ -264,7 +333,7 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
                 if t == whole { on_slice } else { sampler.scalar(sampler.position(packet, lane, t)) }
             };
             let (front, back) = (at(enter, from, front[lane]), at(leave, to, back[lane]));
-            found[lane] = self.reduce.add(found[lane], front, back, leave - enter);
+            self.slab(packet, lane, self.walk.labels, [enter, leave], [front, back], found);
         }
     }
 }

@@ -167,6 +167,14 @@ impl<'a, T: Code> Sampler<'a, T> {
         (cell, fraction)
     }
 
+    /// The index of the voxel next to a point.
+    #[inline(always)]
+    pub fn nearest_voxel(&self, at: Vec3) -> usize {
+        let nearest = |axis: usize| ((at[axis] + 0.5).max(0.0) as usize).min(self.dims[axis] - 1);
+        let [nx, ny, _] = self.dims;
+        (nearest(2) * ny + nearest(1)) * nx + nearest(0)
+    }
+
     /// The scalar at one point: trilinear. For the ends of rays, which are on no slice.
     #[inline(always)]
     pub fn scalar(&self, at: Vec3) -> f32 {

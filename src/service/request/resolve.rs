@@ -138,11 +138,7 @@ impl RenderRequest {
             let look = self.look(volume, presets, level, Some((index, region)))?;
             render::check(volume, &view, &look.settings).map_err(refused)?;
             let of_voxels = matches!(look.settings.algorithm, Algorithm::Classified | Algorithm::FastClassification)
-                || volume.colors().is_some() && look.settings.algorithm != Algorithm::Raycast;
-            if self.labels.is_some() && region.projection.is_some() {
-                let detail = "projections do not go with labels";
-                return Err(RequestError::refused(&format!("/regions/{index}/blend"), detail));
-            }
+                || self.is_of_voxels(volume) && look.settings.algorithm != Algorithm::Raycast;
             if of_voxels && region.projection.is_some() != self.projection.is_some() {
                 let detail = "projections beside what is composited go with preintegrated (of scalars) and raycast";
                 return Err(RequestError::refused(&format!("/regions/{index}/blend"), detail));
@@ -202,7 +198,7 @@ impl RenderRequest {
         let min_opacity = self.min_opacity.unwrap_or(MIN_OPACITY);
         let look = Look { settings, transfer, labels: None, min_opacity, level };
         match &self.labels {
-            Some(labels) => look.by_label(labels, (&place, opacity), volume, presets),
+            Some(labels) => look.by_label(labels, opacity, volume, presets),
             None => Ok(look),
         }
     }
@@ -237,7 +233,6 @@ impl RenderRequest {
         if let Some(labels) = &self.labels {
             for (pointer, there, detail) in [
                 ("/labels", volume.colors().is_some(), "belong to volumes of scalars"),
-                ("/labels", self.projection.is_some(), "belong to the blend composite"),
                 ("/level", self.level.is_some_and(|level| level > 0), "labels have level 0 only"),
             ] {
                 if there {

@@ -2,7 +2,7 @@
 
 use super::{Look, fitted};
 use crate::classify::TransferFunction;
-use crate::classify::labels::{LabelLook, LabelTables, union};
+use crate::classify::labels::{LabelLook, LabelTables, gradient_points, union};
 use crate::classify::presets::FittedPresets;
 use crate::render::Algorithm;
 use crate::service::request::{LabelRequest, LabelsRequest, RequestError};
@@ -53,12 +53,11 @@ impl ResolvedLabels {
 }
 
 impl Look {
-    /// The same by label: its transfer function, which was told at `place`, becomes one for all labels. What labels say themselves has so
-    /// much of its opacity.
+    /// The same by label: its transfer function becomes one for all labels. What labels say themselves has so much of its `opacity`.
     pub(super) fn by_label(
         mut self,
         labels: &LabelsRequest,
-        (place, opacity): (&str, f64),
+        opacity: f64,
         volume: &Volume,
         presets: &FittedPresets,
     ) -> Result<Self, RequestError> {
@@ -78,15 +77,17 @@ impl Look {
             Ok(LabelLook { label: told.label, transfer })
         };
         let looks = labels.looks.iter().enumerate().map(of_label).collect::<Result<Vec<_>, RequestError>>()?;
-        let detail = "expected one without gradient_opacity, as labels need";
-        if !others.gradient_opacity.is_empty() {
-            return Err(RequestError::refused(place, detail));
-        }
-        if let Some(index) = looks.iter().position(|look| !look.transfer.gradient_opacity.is_empty()) {
-            return Err(RequestError::refused(&format!("/labels/looks/{index}/transfer_function"), detail));
+        let transfers = || [&others].into_iter().chain(looks.iter().map(|look| &look.transfer));
+        let points = gradient_points(transfers());
+        if points > TransferFunction::MAX_POINTS {
+            let detail = format!(
+                "expected gradient opacities with points at {} gradient magnitudes at most, of all looks and of other voxels, got {points}",
+                TransferFunction::MAX_POINTS
+            );
+            return Err(RequestError::refused("/labels/looks", detail));
         }
         // What is skipped is transparent for every label.
-        self.transfer = union(looks.iter().map(|look| &look.transfer).chain([&others]), volume.smallest_spacing());
+        self.transfer = union(transfers(), volume.smallest_spacing());
         let min_opacity = if self.settings.algorithm == Algorithm::Raycast { 0.0 } else { self.min_opacity };
         self.min_opacity = 0.0;
         self.labels = Some(ResolvedLabels { volume: labels.volume.clone(), looks, others, min_opacity });
