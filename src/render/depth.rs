@@ -22,10 +22,15 @@ use xxhash_rust::xxh3::xxh3_128;
 
 use super::view::View;
 pub use inverse_warp::InverseWarp;
-pub use limits::{Hole, Limits, SeenScanline, Stretch};
+pub use limits::{Hole, Limits, Seen, SeenScanline, Stretch};
 
 /// A step between two pixels that is so many times as large as the larger of the two beside it is a tear.
 const TEAR: f32 = 2.0;
+
+/// Places that are told side by side, as registers have room.
+const LANES: usize = 8;
+
+type Doubles = [f64; LANES];
 
 /// Shorter steps, mm, are none: rounding of depth buffers.
 const FLAT: f32 = 1e-3;
@@ -125,6 +130,56 @@ impl SceneDepth {
             self.distances[pixel + if fx >= 0.5 { right } else { 0 } + if fy >= 0.5 { below } else { 0 }]
         }
     }
+}
+
+impl SceneDepth {
+    /// [`Self::between`] side by side, at coordinates within the picture.
+    #[inline(always)]
+    fn between_all(&self, x: &Doubles, y: &Doubles) -> [f32; LANES] {
+        let ((x, fx), (y, fy)) = (centres_before(x, self.width), centres_before(y, self.height));
+        let (right, below) = (usize::from(self.width > 1), if self.height > 1 { self.width } else { 0 });
+        // The upper two and the lower two.
+        let mut around = [[0.0; LANES]; 4];
+        let mut smooth = [false; LANES];
+        for lane in 0..LANES {
+            let pixel = y[lane] as usize * self.width + x[lane] as usize;
+            smooth[lane] = self.smooth[pixel];
+            let four = [pixel, pixel + right, pixel + below, pixel + below + right];
+            for (around, pixel) in around.iter_mut().zip(four) {
+                around[lane] = self.distances[pixel];
+            }
+        }
+        let mut distances = [0.0; LANES];
+        for lane in 0..LANES {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|n| around[n][lane]);
+            let (upper, lower) = (a + (b - a) * fx[lane], c + (d - c) * fx[lane]);
+            let between = upper + (lower - upper) * fy[lane];
+            let (upper, lower) = if fx[lane] >= 0.5 { (b, d) } else { (a, c) };
+            let nearest = if fy[lane] >= 0.5 { lower } else { upper };
+            distances[lane] = if smooth[lane] { between } else { nearest };
+        }
+        distances
+    }
+}
+
+/// The first of two pixels' centres around coordinates along an axis of a picture, and how far from it to the next.
+#[inline(always)]
+fn centres_before(at: &Doubles, size: usize) -> ([i32; LANES], [f32; LANES]) {
+    let (mut first, mut fraction) = ([0; LANES], [0.0; LANES]);
+    let (last, last_first) = ((size - 1) as f64, size.saturating_sub(2) as i32);
+    for lane in 0..LANES {
+        let at = at[lane] - 0.5;
+        let at = if at > last {
+            last
+        } else if at > 0.0 {
+            at
+        } else {
+            0.0
+        };
+        let whole = (at as i32).min(last_first);
+        (first[lane], fraction[lane]) = (whole, (at - f64::from(whole)) as f32);
+    }
+    (first, fraction)
 }
 
 /// Pixel coordinates in rows of `width` that hold all that is finite.

@@ -414,6 +414,11 @@ impl Factorization {
         Some(clipping)
     }
 
+    /// True where pixels may be clipped.
+    pub fn is_clipped(&self) -> bool {
+        self.limits.is_some() || !self.clip.is_empty() || !self.holes.is_empty()
+    }
+
     /// What is seen of the rays of pixels, where that is not all that clip planes leave.
     pub fn limits(&self) -> Option<&Limits> {
         self.limits.as_deref()

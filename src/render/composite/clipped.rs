@@ -9,16 +9,24 @@ use crate::render::intermediate::Band;
 /// Pixels of a scanline, 64 a word.
 #[derive(Clone, Debug, Default)]
 pub struct ClippedPixels {
-    /// The first scanline of the band, and by scanline how far from the front it is known which rays have ended.
+    /// The first scanline of the band.
     first: usize,
+    /// By scanline how far from the front it is known which rays have ended.
     ended: Vec<Option<f32>>,
+    /// By scanline the words that have such rays, a bit each; the last one is for all that follow.
+    with_ended: Vec<u64>,
     clipping: Clipping,
+    /// Where the first of the slices is, from the front.
+    front: f32,
     /// True where rays of the scanline end or begin between the slices.
     by_limits: bool,
+    /// True where rays of the scanline have ended since that was known.
+    have_ended: bool,
     /// Those that are open and of which something is left.
     open: Vec<u64>,
-    /// Those of them of which not all is left.
+    /// Those of them of which not all is left, and whether there are any.
     cut: Vec<u64>,
+    cuts_any: bool,
     /// Pixels of which a hole may take something, and those of which it takes all.
     holes: Vec<[Range<usize>; 2]>,
 }
@@ -30,6 +38,8 @@ impl ClippedPixels {
         self.first = band.first;
         self.ended.clear();
         self.ended.resize(band.height(), None);
+        self.with_ended.clear();
+        self.with_ended.resize(band.height(), 0);
     }
 
     /// For some scanlines between two slices in the order of the walk; false where nothing of them is left.
@@ -37,64 +47,86 @@ impl ClippedPixels {
     pub fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
         let clipping = factorization.clipping(vs, slices);
         self.clipping = clipping.unwrap_or_default();
+        self.front = factorization.position(slices[0]) as f32;
         clipping.is_some()
     }
 
-    /// For scanline `v`, one of those entered. Nothing is behind those of its rays that have ended: their pixels are not `open` any more.
+    /// For scanline `v`, one of those entered.
     #[inline(always)]
-    pub fn enter_scanline(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2], open: &mut [u64]) {
-        self.by_limits = false;
+    pub fn enter_scanline(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2]) {
+        (self.by_limits, self.have_ended) = (false, false);
         if let Some(limits) = factorization.limits().filter(|_| self.clipping.by_limits) {
-            let positions @ [first, _] = slices.map(|k| factorization.position(k) as f32);
-            let ended = &mut self.ended[v - self.first];
-            if limits.end_between(v, *ended, first) {
-                for (word, open) in open.iter_mut().enumerate().filter(|(_, open)| **open != 0) {
-                    *open &= !limits.ended(v, word, first);
-                }
-            }
-            *ended = Some(first);
-            self.by_limits = limits.tells_apart(v, positions);
+            self.by_limits = limits.tells_apart(v, slices.map(|k| factorization.position(k) as f32));
+            self.have_ended = limits.end_between(v, self.ended[v - self.first], self.front);
         }
     }
 
     /// True where pixels of the scanline must be clipped ([`Self::find`]); else they are as they are.
     #[inline(always)]
     pub fn is_any(&self) -> bool {
-        self.clipping.by_shapes() || self.by_limits
+        self.clipping.by_shapes() || self.by_limits || self.have_ended
     }
 
-    /// Clips the pixels of scanline `v`, the one entered, that are set in `open`. False where none is left.
+    /// Clips the pixels of scanline `v`, the one entered, that are set in `open`; false where none is left. Nothing is behind those whose rays
+    /// have ended: they are not set any more.
     #[inline(always)]
-    pub fn find(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2], open: &[u64]) -> bool {
+    pub fn find(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2], open: &mut [u64]) -> bool {
+        let limits = factorization.limits().filter(|_| self.by_limits || self.have_ended);
+        let positions = slices.map(|k| factorization.position(k) as f32);
+        if limits.is_some() {
+            self.ended[v - self.first] = Some(self.front);
+        }
         self.open.resize(open.len(), 0);
         self.cut.resize(open.len(), 0);
-        let Clipping { by_planes, holes, .. } = self.clipping;
-        let everything = [0..usize::MAX, 0..usize::MAX];
-        let [some, whole] = if by_planes { factorization.clipped_pixels(v, slices) } else { everything };
-        self.holes.clear();
-        factorization.hollow_pixels(v, slices, holes, |pixels| self.holes.push(pixels));
-        let positions = slices.map(|k| factorization.position(k) as f32);
-        let mut any = 0;
-        for (word, &open) in open.iter().enumerate() {
-            let mut open = open & within(&some, word);
+        let by_shapes = self.clipping.by_shapes();
+        let shapes = if by_shapes { self.shapes(factorization, v, slices) } else { Default::default() };
+        let (mut any, mut any_cut, mut with_ended) = (0, 0, 0);
+        for (word, open) in open.iter_mut().enumerate() {
+            let mut left = *open;
             let mut cut = 0;
-            if open != 0 {
-                cut = !within(&whole, word);
-                for [some, all] in &self.holes {
-                    open &= !within(all, word);
-                    cut |= within(some, word);
+            if left != 0 {
+                if let Some(limits) = limits {
+                    let seen = limits.seen(v, word, positions);
+                    *open &= !seen.ended;
+                    with_ended |= u64::from(seen.ended != 0) << word.min(WORD - 1);
+                    left &= seen.some;
+                    cut = !seen.whole;
                 }
-                if let Some(limits) = factorization.limits().filter(|_| self.by_limits) {
-                    let [some, whole] = limits.seen(v, word, positions);
-                    open &= some;
-                    cut |= !whole;
+                if by_shapes {
+                    let [some, whole] = &shapes;
+                    left &= within(some, word);
+                    cut |= !within(whole, word);
+                    for [some, all] in &self.holes {
+                        left &= !within(all, word);
+                        cut |= within(some, word);
+                    }
                 }
             }
-            self.open[word] = open;
-            self.cut[word] = open & cut;
-            any |= open;
+            self.open[word] = left;
+            self.cut[word] = left & cut;
+            any |= left;
+            any_cut |= left & cut;
         }
+        self.with_ended[v - self.first] |= with_ended;
+        (self.have_ended, self.cuts_any) = (false, any_cut != 0);
         any != 0
+    }
+
+    /// The pixels of scanline `v` of which clip planes and balls leave something, and those of which they leave all; and what holes take.
+    #[inline(always)]
+    fn shapes(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
+        let Clipping { by_planes, holes, .. } = self.clipping;
+        self.holes.clear();
+        factorization.hollow_pixels(v, slices, holes, |pixels| self.holes.push(pixels));
+        if by_planes { factorization.clipped_pixels(v, slices) } else { [0..usize::MAX, 0..usize::MAX] }
+    }
+
+    /// True where all pixels of `word` of scanline `v`, the one entered, are open but for those that are opaque; of which `open` are not, or their
+    /// rays have ended.
+    #[inline(always)]
+    pub fn are_opaque_or_open(&self, v: usize, word: usize, open: u64) -> bool {
+        let any_ended = self.with_ended[v - self.first] >> word.min(WORD - 1) & 1 == 1;
+        !any_ended && (!self.is_any() || self.open[word] == open)
     }
 
     /// What is left, by word.
@@ -106,7 +138,7 @@ impl ClippedPixels {
     /// True where not all is left of some open pixel.
     #[inline(always)]
     pub fn cuts_any(&self) -> bool {
-        self.cut.iter().any(|&bits| bits != 0)
+        self.cuts_any
     }
 
     /// Open pixels of which not all is left, by word.

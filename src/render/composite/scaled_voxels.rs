@@ -119,14 +119,14 @@ impl VoxelLattice<Vec4> for Scaled {
             }
             let row = v - band.first;
             let mut scanline = band.scanline(row);
-            scratch.clipped.enter_scanline(f, v, f.interval(k), scanline.non_opaque);
+            scratch.clipped.enter_scanline(f, v, f.interval(k));
             let at = Place { factorization: f, along_u, us: us.clone(), first, v, k };
-            if !scratch.find(&at, &scanline) {
+            if !scratch.find(&at, &mut scanline) {
                 continue;
             }
             if V::CLASSIFIES {
                 scratch.classify(voxels.source, first, k);
-                if !scratch.find(&at, &scanline) {
+                if !scratch.find(&at, &mut scanline) {
                     continue;
                 }
             }
@@ -178,7 +178,7 @@ impl Scratch {
     /// Finds the pixels over marked voxels that are not opaque and not clipped away, and the voxels under them;
     /// false where there is none.
     #[inline(always)]
-    fn find(&mut self, at: &Place<'_>, scanline: &ScanlineMut<'_, Vec4>) -> bool {
+    fn find(&mut self, at: &Place<'_>, scanline: &mut ScanlineMut<'_, Vec4>) -> bool {
         self.pixels.clear();
         let count = self.rows.len();
         for word in 0..self.length.div_ceil(WORD) {

@@ -228,7 +228,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             let Kept { slab: left_by, is_sampled, sampled, found, ahead } = &mut kept[row];
             let known = std::mem::replace(left_by, slab.number) + 1 == slab.number;
             let any = vs.contains(&v) && {
-                clipped.enter_scanline(f, v, slab.ends, scanline.non_opaque);
+                clipped.enter_scanline(f, v, slab.ends);
                 let any = match found.filter(|_| known) {
                     None => self.mark(slab, v, &scanline, inside, pixels),
                     Some(any) => {

@@ -119,14 +119,19 @@ impl<P: Pixel> VoxelLattice<P> for Unit {
         k: usize,
         scratch: &mut Self::Scratch,
     ) {
-        voxels.slice::<W>(band, k, scratch);
+        // A kernel of its own for what is neither clipped nor faded: what that would take is not in its way.
+        if !M::Slice::PAINTED && voxels.cue.is_none() && !voxels.factorization.is_clipped() {
+            voxels.slice::<W, false>(band, k, scratch);
+        } else {
+            voxels.slice::<W, true>(band, k, scratch);
+        }
     }
 }
 
 impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<'_, Unit, V, M> {
-    /// One slice into one band.
+    /// One slice into one band; with `CARE` pixels may be clipped, faded or what they show may be more than a sum.
     #[inline(always)]
-    fn slice<W: Shorts>(
+    fn slice<W: Shorts, const CARE: bool>(
         &self,
         band: &mut Band<'_, P>,
         k: usize,
@@ -151,7 +156,7 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
             return;
         }
         let slices = f.interval(k);
-        if !clipped.enter(f, start_v..end_v, slices) {
+        if CARE && !clipped.enter(f, start_v..end_v, slices) {
             return;
         }
         let material = self.material.slice(f.share(k));
@@ -168,23 +173,26 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
                 self.source.prefetch_place(j, farther);
             }
             let mut scanline = band.scanline_and_more(v - band.first);
-            clipped.enter_scanline(f, v, slices, scanline.non_opaque);
+            if CARE {
+                clipped.enter_scanline(f, v, slices);
+            }
             let upper = match below {
                 Some((at, scanline)) if at == j => scanline,
                 _ => self.source.scanline(j, k),
             };
             let lower = if has_lower { Some(self.source.scanline(j + 1, k)) } else { None };
-            let mut open =
-                Open { words: scanline.non_opaque, first: first_u, between: fraction_u > 0.0, length: f.dims[0] };
+            let lies = Open { words: &[], first: first_u, between: fraction_u > 0.0, length: f.dims[0] };
             below = lower.map(|lower| (j + 1, lower));
-            if clipped.is_any() {
+            let is_clipped = CARE && clipped.is_any();
+            if is_clipped {
+                let open = Open { words: scanline.non_opaque, ..lies };
                 let touches = self.source.touches(&upper, &open)
                     || lower.as_ref().is_some_and(|lower| self.source.touches(lower, &open));
                 if !touches || !clipped.find(f, v, slices, scanline.non_opaque) {
                     continue;
                 }
-                open.words = clipped.open();
             }
+            let open = Open { words: if is_clipped { clipped.open() } else { scanline.non_opaque }, ..lies };
             rows.go_on(j);
             self.source.touch::<W, _>(&upper, &open, touched, (rows.upper(), [j, k]), material);
             if let Some(lower) = &lower {
@@ -201,16 +209,16 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
             let rows = rows.voxels(j, has_lower);
             let around = Around { rows, first_u, end: f.dims[0] - usize::from(fraction_u > 0.0), weights };
             if has_lower {
-                self.blend::<W, true>(&mut scanline, &at, &around, touched, material);
+                self.blend::<W, true, CARE>(&mut scanline, &at, &around, touched, material);
             } else {
-                self.blend::<W, false>(&mut scanline, &at, &around, touched, material);
+                self.blend::<W, false, CARE>(&mut scanline, &at, &around, touched, material);
             }
         }
     }
 
     /// Resamples the row buffers at the touched pixels and blends behind what is there. Pixels that become opaque are no longer open.
     #[inline(always)]
-    fn blend<W: Shorts, const LOWER: bool>(
+    fn blend<W: Shorts, const LOWER: bool, const CARE: bool>(
         &self,
         scanline: &mut ScanlineMut<'_, P>,
         at: &Place<'_>,
@@ -222,9 +230,7 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
         let &Around { rows, first_u, end, weights } = around;
         let pixels = &mut scanline.pixels[first_u..];
         let non_opaque = &mut *scanline.non_opaque;
-        // Pixels whose rays have ended are not open, whatever they show.
-        let is_clipped = at.clipped.is_any() || self.factorization.limits().is_some();
-        if is_clipped || at.cue.is_some() || M::Slice::PAINTED {
+        if CARE {
             self.blend_with_care::<W, LOWER>((pixels, non_opaque), at, around, touched, material);
             return;
         }
@@ -262,7 +268,9 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
             let by_itself = bits & if cue.is_some() || M::Slice::PAINTED { u64::MAX } else { cut };
             let together = bits & !by_itself;
             let mut done = 0;
-            if together != 0 {
+            if bits == together && clipped.are_opaque_or_open(v, word, non_opaque[word]) {
+                done |= P::blend::<W, LOWER, false>(pixels, rows, &weights, limit, (first, end), together);
+            } else if together != 0 {
                 done |= P::blend::<W, LOWER, true>(pixels, rows, &weights, limit, (first, end), together);
             }
             if by_itself != 0 {

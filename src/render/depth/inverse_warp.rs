@@ -6,8 +6,9 @@ use std::sync::Arc;
 use glam::{DMat3, DVec2, DVec3};
 
 use super::limits::bounds;
-use super::{Limits, SceneDepth, SeenScanline, Stretch, goes_on};
+use super::{Doubles, LANES, Limits, SceneDepth, SeenScanline, goes_on};
 use crate::render::factorization::Factorization;
+use crate::render::simd::{self, Kernel};
 use crate::render::view::{Rays, View};
 use crate::render::warp::inside;
 use crate::volume::Volume;
@@ -38,15 +39,10 @@ impl<'a> InverseWarp<'a> {
             size: DVec2::new(depth.width as f64, depth.height as f64),
             limits: Arc::default(),
         };
-        let elsewhere = Stretch { from: f32::NEG_INFINITY, to: inverse.beyond() };
         inverse.limits = Arc::new(Limits::new(factorization.size[1], |v| {
             let met = inverse.met_by(v);
-            SeenScanline::new(elsewhere, met.clone(), vec![], |_, to| {
-                for (u, to) in met.zip(to) {
-                    if let Some(at) = inverse.image_point(DVec2::new(u as f64, v as f64)) {
-                        *to = inverse.end_at(at);
-                    }
-                }
+            SeenScanline::ending(inverse.beyond(), met.clone(), |to| {
+                simd::dispatch(Ends { inverse: &inverse, v, first: met.start, to });
             })
         }));
         Some(inverse)
@@ -96,6 +92,48 @@ impl<'a> InverseWarp<'a> {
         (end as f32).clamp(-1.0, self.beyond())
     }
 
+    /// The same as [`Self::image_point`] and [`Self::end_at`] tell for the pixels of scanline `v` from `u` on, side by side.
+    #[inline(always)]
+    fn ends(&self, u: usize, v: usize) -> [f32; LANES] {
+        let (m, v) = (&self.image_from_sheared, v as f64);
+        let (mut x, mut y, mut z) = ([0.0; LANES], [0.0; LANES], [1.0; LANES]);
+        for lane in 0..LANES {
+            let u = (u + lane) as f64;
+            x[lane] = m.x_axis.x * u + m.y_axis.x * v + m.z_axis.x;
+            y[lane] = m.x_axis.y * u + m.y_axis.y * v + m.z_axis.y;
+        }
+        if !self.factorization.is_parallel() {
+            for lane in 0..LANES {
+                z[lane] = m.x_axis.z * (u + lane) as f64 + m.y_axis.z * v + m.z_axis.z;
+                (x[lane], y[lane]) = (x[lane] / z[lane], y[lane] / z[lane]);
+            }
+        }
+        let within = |at: f64, size: f64| {
+            if at > size {
+                size
+            } else if at > 0.0 {
+                at
+            } else {
+                0.0
+            }
+        };
+        for lane in 0..LANES {
+            (x[lane], y[lane]) = (within(x[lane], self.size.x), within(y[lane], self.size.y));
+        }
+        let distances = self.depth.between_all(&x, &y);
+        let along = self.along.indices(&x, &y, &distances);
+        let beyond = self.beyond();
+        let mut ends = [beyond; LANES];
+        for lane in 0..LANES {
+            let end = self.factorization.position(along[lane]) as f32;
+            let end = if end < -1.0 { -1.0 } else { end };
+            // Behind the eye there is nothing, nor where rays meet nothing.
+            let ends_here = (end < beyond) & (z[lane] > 0.0) & (distances[lane] < f32::INFINITY);
+            ends[lane] = if ends_here { end } else { beyond };
+        }
+        ends
+    }
+
     /// What is seen in front of it.
     pub fn limits(&self) -> Arc<Limits> {
         Arc::clone(&self.limits)
@@ -121,6 +159,26 @@ impl<'a> InverseWarp<'a> {
             let column = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(n, m)));
             !(row(1) && row(2) && column(1) && column(2))
         })
+    }
+}
+
+/// The job: where the rays of pixels of scanline `v` end, from one on.
+struct Ends<'a, 'b> {
+    inverse: &'b InverseWarp<'a>,
+    v: usize,
+    first: usize,
+    to: &'b mut [f32],
+}
+
+impl Kernel for Ends<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { inverse, v, first, to } = self;
+        for (n, to) in to.chunks_mut(LANES).enumerate() {
+            to.copy_from_slice(&inverse.ends(first + n * LANES, v)[..to.len()]);
+        }
     }
 }
 
@@ -151,6 +209,29 @@ impl AlongRays {
                 Self { rays, corner: vector(corner), dx: vector(dx), dy: vector(dy), other: point(eye) }
             }
         }
+    }
+
+    /// [`Self::index`] side by side.
+    #[inline(always)]
+    fn indices(&self, x: &Doubles, y: &Doubles, distances: &[f32; LANES]) -> Doubles {
+        let mut index = [0.0; LANES];
+        for lane in 0..LANES {
+            index[lane] = self.corner + self.dx * x[lane] + self.dy * y[lane];
+        }
+        match self.rays {
+            Rays::Parallel { .. } => {
+                for lane in 0..LANES {
+                    index[lane] += self.other * f64::from(distances[lane]);
+                }
+            }
+            Rays::Perspective { corner, dx, dy, .. } => {
+                for lane in 0..LANES {
+                    let ray = corner + dx * x[lane] + dy * y[lane];
+                    index[lane] = self.other + index[lane] * (f64::from(distances[lane]) / ray.length());
+                }
+            }
+        }
+        index
     }
 
     /// Of the point at a distance (mm) along the ray of pixel coordinates.

@@ -30,7 +30,7 @@ pub struct SeenScanline {
     elsewhere: Stretch,
     first_word: usize,
     words: Vec<Word>,
-    /// From where to where, by pixel of these words; [`Stretch::NOTHING`] where nothing is seen.
+    /// From where to where, by pixel of these words; [`Stretch::NOTHING`] where nothing is seen. Where all begin as elsewhere, `from` is empty.
     from: Vec<f32>,
     to: Vec<f32>,
     /// In the order of pixels and, within one, of its ray.
@@ -65,6 +65,9 @@ pub struct Hole {
 struct Word {
     /// The least and the greatest of each end of their stretches.
     bounds: [Stretch; 2],
+    /// The least and the greatest end of every eight.
+    least_to: [f32; WORD / EIGHT],
+    greatest_to: [f32; WORD / EIGHT],
     /// Which of the scanline's holes are theirs, and the stretch that these are within.
     holes: Range<usize>,
     within: Stretch,
@@ -79,48 +82,80 @@ impl SeenScanline {
         holes: Vec<Hole>,
         fill: impl FnOnce(&mut [f32], &mut [f32]),
     ) -> Self {
-        let first_word = pixels.start / WORD;
-        let words = if pixels.is_empty() { 0 } else { pixels.end.div_ceil(WORD) - first_word };
-        let (mut from, mut to) = (vec![elsewhere.from; words * WORD], vec![elsewhere.to; words * WORD]);
-        let filled = pixels.start - first_word * WORD..pixels.end - first_word * WORD;
+        let (words, filled) = words_of(&pixels);
+        let [mut from, mut to] = [elsewhere.from, elsewhere.to].map(|end| vec![end; words.len() * WORD]);
         if !filled.is_empty() {
             fill(&mut from[filled.clone()], &mut to[filled]);
         }
+        Self::of(elsewhere, words, from, to, holes)
+    }
+
+    /// Where all is seen from the front on, up to an end that `fill` writes of `pixels`, and elsewhere to `beyond` the volume.
+    pub fn ending(beyond: f32, pixels: Range<usize>, fill: impl FnOnce(&mut [f32])) -> Self {
+        let (words, filled) = words_of(&pixels);
+        let mut to = vec![beyond; words.len() * WORD];
+        if !filled.is_empty() {
+            fill(&mut to[filled]);
+        }
+        Self::of(Stretch { from: f32::NEG_INFINITY, to: beyond }, words, vec![], to, vec![])
+    }
+
+    /// Of what is told for all pixels of some words.
+    fn of(elsewhere: Stretch, told: Range<usize>, from: Vec<f32>, to: Vec<f32>, holes: Vec<Hole>) -> Self {
         let of_word = |u: usize| holes.partition_point(|hole| (hole.u as usize) < u);
-        let word = |(n, (from, to)): (usize, (&[f32], &[f32]))| {
-            let first = (first_word + n) * WORD;
+        let word = |n: usize| {
+            let first = (told.start + n) * WORD;
             let theirs = of_word(first)..of_word(first + WORD);
             let within = holes[theirs.clone()].iter().fold(Stretch::NOTHING, |all, Hole { stretch, .. }| Stretch {
                 from: all.from.min(stretch.from),
                 to: all.to.max(stretch.to),
             });
-            let [[least_from, greatest_from], [least_to, greatest_to]] = [from, to].map(bounds);
+            let [least_from, greatest_from] = from.get(n * WORD..(n + 1) * WORD).map_or([elsewhere.from; 2], bounds);
+            let (mut least, mut greatest) = ([0.0; WORD / EIGHT], [0.0; WORD / EIGHT]);
+            for (at, eight) in to[n * WORD..][..WORD].chunks_exact(EIGHT).enumerate() {
+                [least[at], greatest[at]] = bounds(eight);
+            }
+            let ([least_to, _], [_, greatest_to]) = (bounds(&least), bounds(&greatest));
             let bounds = [Stretch { from: least_from, to: least_to }, Stretch { from: greatest_from, to: greatest_to }];
-            Word { bounds, holes: theirs, within }
+            Word { bounds, least_to: least, greatest_to: greatest, holes: theirs, within }
         };
-        let words: Vec<_> = from.chunks_exact(WORD).zip(to.chunks_exact(WORD)).enumerate().map(word).collect();
+        let words: Vec<_> = (0..told.len()).map(word).collect();
         let (mut begun, mut ends, mut blind) = (f32::NEG_INFINITY, Stretch::NOTHING, elsewhere.is_nothing());
         if !blind {
             begun = elsewhere.from;
         }
-        for (&from, &to) in from.iter().zip(&to) {
-            let nothing = Stretch { from, to }.is_nothing();
-            blind |= nothing;
-            if !nothing {
-                begun = begun.max(from);
-            }
-            if !nothing && (to < elsewhere.to || elsewhere.is_nothing()) {
-                ends = Stretch { from: ends.from.min(to), to: ends.to.max(to) };
-            }
-        }
         let (mut some, mut whole) = (elsewhere, elsewhere);
-        for Word { bounds: [least, greatest], holes, .. } in &words {
+        for (n, Word { bounds: [least, greatest], holes, .. }) in words.iter().enumerate() {
             some = Stretch { from: some.from.min(least.from), to: some.to.max(greatest.to) };
             whole = Stretch { from: whole.from.max(greatest.from), to: whole.to.min(least.to) };
             if !holes.is_empty() {
                 whole = Stretch::NOTHING;
             }
+            let beyond = if elsewhere.is_nothing() { f32::INFINITY } else { elsewhere.to };
+            let of_word = n * WORD..(n + 1) * WORD;
+            if greatest.is_nothing() {
+                // Of some of them nothing is seen.
+                for (&from, &to) in from[of_word.clone()].iter().zip(&to[of_word]) {
+                    let nothing = Stretch { from, to }.is_nothing();
+                    blind |= nothing;
+                    if !nothing {
+                        begun = begun.max(from);
+                    }
+                    if !nothing && to < beyond {
+                        ends = Stretch { from: ends.from.min(to), to: ends.to.max(to) };
+                    }
+                }
+            } else {
+                begun = begun.max(greatest.from);
+                if least.to < beyond {
+                    ends = Stretch {
+                        from: ends.from.min(least.to),
+                        to: ends.to.max(greatest_below(&to[of_word], beyond)),
+                    };
+                }
+            }
         }
+        let first_word = told.start;
         Self { elsewhere, first_word, words, from, to, holes, some, whole, begun, ends, blind }
     }
 
@@ -128,10 +163,8 @@ impl SeenScanline {
     #[inline(always)]
     pub(super) fn at(&self, u: usize) -> Stretch {
         let at = u.wrapping_sub(self.first_word * WORD);
-        match (self.from.get(at), self.to.get(at)) {
-            (Some(&from), Some(&to)) => Stretch { from, to },
-            _ => self.elsewhere,
-        }
+        let Stretch { from, to } = self.elsewhere;
+        Stretch { from: *self.from.get(at).unwrap_or(&from), to: *self.to.get(at).unwrap_or(&to) }
     }
 
     /// Pixels that have stretches of their own are among these.
@@ -203,7 +236,7 @@ impl Limits {
     }
 
     /// Whether pixels of scanline `v` are to be told apart between two positions ([`Self::seen`]), those aside that have
-    /// [ended](Self::ended) by then.
+    /// [ended](Seen::ended) by then.
     #[inline(always)]
     pub fn tells_apart(&self, v: usize, [first, last]: [f32; 2]) -> bool {
         let SeenScanline { holes, begun, ends, .. } = &self.scanlines[v];
@@ -226,25 +259,6 @@ impl Limits {
         }
     }
 
-    /// Of the 64 pixels of `word` of scanline `v`, those of which nothing is seen behind a position.
-    #[inline(always)]
-    pub fn ended(&self, v: usize, word: usize, position: f32) -> u64 {
-        let SeenScanline { elsewhere, first_word, words, to, .. } = &self.scanlines[v];
-        let at = word.wrapping_sub(*first_word);
-        let [least, greatest] = words.get(at).map_or([elsewhere; 2], |word| word.bounds.each_ref());
-        if greatest.to <= position {
-            return u64::MAX;
-        }
-        let mut ended = 0;
-        if least.to <= position {
-            for (four, to) in to[at * WORD..][..WORD].chunks_exact(4).enumerate() {
-                let before = Vec4::from_slice(to).cmple(Vec4::splat(position));
-                ended |= u64::from(before.bitmask()) << (4 * four);
-            }
-        }
-        ended
-    }
-
     /// Whether what may lie on some scanlines between two positions is seen.
     #[inline(always)]
     pub fn meets(&self, vs: Range<usize>, between: [f32; 2]) -> Meeting {
@@ -262,57 +276,137 @@ impl Limits {
         }
     }
 
-    /// Of the 64 pixels of `word` of scanline `v`, those of which something is seen between two positions, and those of which
-    /// all is.
+    /// What is seen of the 64 pixels of `word` of scanline `v` between two positions.
     #[inline(always)]
-    pub fn seen(&self, v: usize, word: usize, between: [f32; 2]) -> [u64; 2] {
+    pub fn seen(&self, v: usize, word: usize, between: [f32; 2]) -> Seen {
         let scanline = &self.scanlines[v];
         let at = word.wrapping_sub(scanline.first_word);
         let every = |is: bool| if is { u64::MAX } else { 0 };
-        let Some(Word { bounds: [least, greatest], holes, within }) = scanline.words.get(at) else {
-            return [scanline.elsewhere.meets(between), scanline.elsewhere.holds(between)].map(every);
+        let Some(Word { bounds: [least, greatest], least_to, greatest_to, holes, within }) = scanline.words.get(at)
+        else {
+            let elsewhere = scanline.elsewhere;
+            let ended = every(elsewhere.to <= between[0]);
+            return Seen { ended, some: every(elsewhere.meets(between)), whole: every(elsewhere.holds(between)) };
         };
-        if !(Stretch { from: least.from, to: greatest.to }).meets(between) {
-            return [0; 2];
+        let [first, last] = between;
+        if greatest.to <= first {
+            return Seen { ended: u64::MAX, some: 0, whole: 0 };
         }
-        let mut seen = [u64::MAX; 2];
-        if !(Stretch { from: greatest.from, to: least.to }).holds(between) {
-            seen = [0; 2];
-            let [from, to] = [&scanline.from, &scanline.to].map(|ends| ends[at * WORD..][..WORD].chunks_exact(4));
-            let [first, last] = between.map(Vec4::splat);
-            // Four pixels of `Stretch::meets` and `Stretch::holds`.
-            for (four, (from, to)) in from.zip(to).enumerate() {
-                let [from, to] = [from, to].map(Vec4::from_slice);
-                let meets = from.cmplt(last) & to.cmpgt(first);
-                let holds = from.cmple(first) & to.cmpge(last);
-                seen[0] |= u64::from(meets.bitmask()) << (4 * four);
-                seen[1] |= u64::from(holds.bitmask()) << (4 * four);
+        // `Stretch::meets` and `Stretch::holds`, where the bounds of eight neighbours do not tell.
+        let (mut ended, mut whole) = (0, u64::MAX);
+        if least.to < last {
+            let any_end = below(least_to, last);
+            let all_ended = EIGHTS & !above(greatest_to, first);
+            (ended, whole) = (spread(all_ended), !spread(any_end));
+            let mut mixed = any_end & !all_ended;
+            while mixed != 0 {
+                let n = mixed.trailing_zeros() as usize;
+                mixed &= mixed - 1;
+                let to = &scanline.to[at * WORD + n * EIGHT..][..EIGHT];
+                ended |= (EIGHTS & !above(to, first)) << (n * EIGHT);
+                whole |= (EIGHTS & !below(to, last)) << (n * EIGHT);
+            }
+        }
+        let mut some = !ended;
+        if greatest.from > first {
+            for (four, from) in scanline.from[at * WORD..][..WORD].chunks_exact(4).enumerate() {
+                let from = Vec4::from_slice(from);
+                some &= !(u64::from(from.cmpge(Vec4::splat(last)).bitmask()) << (4 * four));
+                whole &= !(u64::from(from.cmpgt(Vec4::splat(first)).bitmask()) << (4 * four));
             }
         }
         if within.meets(between) {
             for Hole { u, stretch } in &scanline.holes[holes.clone()] {
                 let pixel = 1 << (*u as usize % WORD);
                 if stretch.holds(between) {
-                    seen[0] &= !pixel;
+                    some &= !pixel;
                 }
                 if stretch.meets(between) {
-                    seen[1] &= !pixel;
+                    whole &= !pixel;
                 }
             }
         }
-        seen
+        Seen { ended, some, whole }
     }
+}
+
+/// Neighbours whose ends are bounded together, and a bit for each.
+const EIGHT: usize = 8;
+const EIGHTS: u64 = 0xff;
+
+/// Which of eight numbers are below another.
+#[inline(always)]
+fn below(eight: &[f32], number: f32) -> u64 {
+    let [a, b] = [0, 4].map(|n| Vec4::from_slice(&eight[n..n + 4]).cmplt(Vec4::splat(number)).bitmask());
+    u64::from(a | b << 4)
+}
+
+/// Which of eight numbers are above another.
+#[inline(always)]
+fn above(eight: &[f32], number: f32) -> u64 {
+    let [a, b] = [0, 4].map(|n| Vec4::from_slice(&eight[n..n + 4]).cmpgt(Vec4::splat(number)).bitmask());
+    u64::from(a | b << 4)
+}
+
+/// All bits of a byte for each of eight.
+#[inline(always)]
+fn spread(bits: u64) -> u64 {
+    // Bit n of each byte n, then of those that are not zero the lowest one.
+    let apart = bits.wrapping_mul(0x0101_0101_0101_0101) & 0x8040_2010_0804_0201;
+    let set = ((apart + 0x7f7f_7f7f_7f7f_7f7f) | apart) >> 7 & 0x0101_0101_0101_0101;
+    set * 0xff
+}
+
+/// Which of 64 pixels see what between two positions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Seen {
+    /// Those of which nothing is seen from the first position on.
+    pub ended: u64,
+    /// Those of which something is.
+    pub some: u64,
+    /// Those of which all is.
+    pub whole: u64,
+}
+
+/// The words that some pixels are in, and where among the pixels of these they are.
+fn words_of(pixels: &Range<usize>) -> (Range<usize>, Range<usize>) {
+    let first = pixels.start / WORD;
+    if pixels.is_empty() {
+        return (first..first, 0..0);
+    }
+    (first..pixels.end.div_ceil(WORD), pixels.start - first * WORD..pixels.end - first * WORD)
 }
 
 /// The least and the greatest of some numbers.
 #[inline(always)]
 pub(super) fn bounds(numbers: &[f32]) -> [f32; 2] {
-    let (mut least, mut greatest) = (numbers[0], numbers[0]);
-    for &number in numbers {
-        least = if number < least { number } else { least };
-        greatest = if number > greatest { number } else { greatest };
+    // Side by side, as registers have room.
+    const LANES: usize = 8;
+    let (mut least, mut greatest) = ([numbers[0]; LANES], [numbers[0]; LANES]);
+    let mut add = |lane: usize, number: f32| {
+        least[lane] = if number < least[lane] { number } else { least[lane] };
+        greatest[lane] = if number > greatest[lane] { number } else { greatest[lane] };
+    };
+    let (chunks, rest) = numbers.as_chunks::<LANES>();
+    for chunk in chunks {
+        (0..LANES).for_each(|lane| add(lane, chunk[lane]));
     }
-    [least, greatest]
+    rest.iter().for_each(|&number| add(0, number));
+    [least.into_iter().fold(numbers[0], f32::min), greatest.into_iter().fold(numbers[0], f32::max)]
+}
+
+/// The greatest of some numbers that are less than `bound`.
+fn greatest_below(numbers: &[f32], bound: f32) -> f32 {
+    const LANES: usize = 8;
+    let mut greatest = [f32::NEG_INFINITY; LANES];
+    let (chunks, rest) = numbers.as_chunks::<LANES>();
+    debug_assert!(rest.is_empty(), "words are whole");
+    for chunk in chunks {
+        for (greatest, &number) in greatest.iter_mut().zip(chunk) {
+            *greatest = if (number > *greatest) & (number < bound) { number } else { *greatest };
+        }
+    }
+    greatest.into_iter().fold(f32::NEG_INFINITY, f32::max)
 }
 
 #[cfg(test)]
@@ -323,10 +417,27 @@ mod tests {
 
     /// What ends at a place, begins there, or does not at all, and holes.
     fn scanline() -> impl Strategy<Value = (bool, usize, Vec<(u8, u8, u8)>)> {
-        (any::<bool>(), 0usize..150, prop::collection::vec((0u8..5, 0u8..12, 0u8..12), 0..100))
+        let kinds = prop_oneof![prop::collection::vec(0u8..5, 0..100), prop::collection::vec(0u8..2, 0..100)];
+        (any::<bool>(), 0usize..150, kinds, any::<u64>()).prop_map(|(nothing_elsewhere, first, kinds, seed)| {
+            let only_ends = kinds.iter().all(|kind| *kind < 2);
+            let numbers = (0..).map(|n: u64| (seed.wrapping_mul(2 * n + 1) >> 40) as u8);
+            let pixels = kinds
+                .into_iter()
+                .zip(numbers)
+                .map(|(kind, number)| (if only_ends { 2 * kind } else { kind }, number % 12, number / 12 % 12));
+            (nothing_elsewhere, first, pixels.collect())
+        })
     }
 
     const BEYOND: f32 = 12.0;
+
+    #[test]
+    fn bits_become_bytes() {
+        for bits in 0..=EIGHTS {
+            let bytes = (0..8).filter(|n| bits >> n & 1 == 1).fold(0, |all, n| all | 0xff << (8 * n));
+            assert_eq!(spread(bits), bytes, "{bits:b}");
+        }
+    }
 
     proptest! {
         /// As a walk does it: rays that have ended are put away, and where no others are told apart, all of them are whole.
@@ -353,6 +464,15 @@ mod tests {
                         }
                     }
                 };
+                // The same where none begins within and there are no holes.
+                if !nothing_elsewhere && pixels.iter().all(|(kind, ..)| [0, 2].contains(kind)) {
+                    let ending = SeenScanline::ending(BEYOND, *first..first + pixels.len(), |to| {
+                        for (to, (kind, _, ends)) in to.iter_mut().zip(pixels) {
+                            *to = if *kind == 0 { BEYOND } else { (*ends).into() };
+                        }
+                    });
+                    return ending;
+                }
                 let elsewhere = if *nothing_elsewhere { Stretch::NOTHING } else { elsewhere };
                 SeenScanline::new(elsewhere, *first..first + pixels.len(), holes.collect(), fill)
             });
@@ -367,13 +487,13 @@ mod tests {
                 for (v, open) in open.iter_mut().enumerate() {
                     let met = limits.meets(v..v + 1, between);
                     if limits.end_between(v, known[v], between[0]) {
-                        (0..4).for_each(|word| open[word] &= !limits.ended(v, word, between[0]));
+                        (0..4).for_each(|word| open[word] &= !limits.seen(v, word, between).ended);
                     }
                     known[v] = Some(between[0]);
                     let apart = limits.tells_apart(v, between);
                     for u in 0..4 * WORD {
-                        let [some, whole] =
-                            if apart { limits.seen(v, u / WORD, between) } else { [u64::MAX; 2] };
+                        let Seen { some, whole, .. } = limits.seen(v, u / WORD, between);
+                        let [some, whole] = if apart { [some, whole] } else { [u64::MAX; 2] };
                         let [is_open, some, whole] =
                             [open[u / WORD], some, whole].map(|bits| bits >> (u % WORD) & 1 == 1);
                         let at = limits.at(u, v);
