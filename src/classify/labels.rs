@@ -7,7 +7,7 @@ mod gradients;
 
 use super::transfer::{ControlPoint, TransferFunction};
 use super::{CodeTables, Color};
-use crate::volume::{Scalars, Volume};
+use crate::volume::{Scalars, Volume, pyramid};
 use gradients::CommonGradientOpacity;
 
 /// What voxels of one label look like.
@@ -30,11 +30,13 @@ pub struct LabelTables {
     shown: Vec<bool>,
     /// What a voxel's byte of gradient opacity, which is that of the [`union`], says of each; empty where none has one.
     factors: Vec<[f32; 256]>,
+    /// Where they are for a coarser level: its labels.
+    coarse: Option<Scalars>,
 }
 
 impl LabelTables {
-    /// Tabulates the transfer functions of labels, and of all `others`, for `volume`. Of two looks of one label the last is
-    /// meant.
+    /// Tabulates the transfer functions of labels, and of all `others`, for `volume`, which may be a coarser level of the one that `labels`
+    /// are on the grid of. Of two looks of one label the last is meant.
     ///
     /// # Panics
     /// With more than 255 looks.
@@ -58,6 +60,7 @@ impl LabelTables {
             tables: transfers.iter().map(|transfer| CodeTables::new(volume, transfer, min_opacity)).collect(),
             factors: common
                 .map_or(vec![], |common| transfers.iter().map(|transfer| common.factors(transfer)).collect()),
+            coarse: (volume.dims() != labels.dims()).then(|| pyramid::labels_of_level(labels, volume.dims())),
             shown: transfers.iter().map(|transfer| transfer.points.iter().any(|point| point.opacity > 0.0)).collect(),
             transfers: transfers.into_iter().cloned().collect(),
         }
@@ -68,37 +71,43 @@ impl LabelTables {
         let tables = self.tables.iter().map(CodeTables::bytes).sum::<u64>();
         let points = self.transfers.iter().map(|transfer| transfer.points.len() + transfer.gradient_opacity.len());
         let points = points.sum::<usize>() * size_of::<ControlPoint>();
-        tables + (self.by_code.len() + size_of_val(&self.factors[..]) + points) as u64
+        let coarse = self.coarse.as_ref().map_or(0, Scalars::bytes);
+        tables + (coarse + self.by_code.len() + size_of_val(&self.factors[..]) + points) as u64
+    }
+
+    /// The labels, which are those that the tables were made for, or of its coarser level if they are for one.
+    pub fn of<'a>(&'a self, labels: &'a Volume) -> Labels<'a> {
+        Labels { voxels: self.coarse.as_ref().unwrap_or(labels.scalars()), tables: self }
     }
 
     /// Which of the tables is for a label, told by its code.
     #[inline(always)]
-    fn of(&self, label: u16) -> usize {
+    fn table(&self, label: u16) -> usize {
         self.by_code[usize::from(label)].into()
     }
 
     /// Colour and extinction per mm of a voxel, by its label's code and its own.
     #[inline(always)]
     pub fn look(&self, label: u16, code: u16) -> ([f32; 3], f32) {
-        let table = &self.tables[self.of(label)];
+        let table = &self.tables[self.table(label)];
         (table.color[usize::from(code)], table.extinction[usize::from(code)])
     }
 
     /// Gradient opacity of a voxel, by its label's code and its byte of what the [`union`] has of it.
     #[inline(always)]
     pub fn gradient_factor(&self, label: u16, byte: u8) -> f32 {
-        self.factors.get(self.of(label)).map_or(1.0, |factors| factors[usize::from(byte)])
+        self.factors.get(self.table(label)).map_or(1.0, |factors| factors[usize::from(byte)])
     }
 
     /// The same by a gradient's magnitude in scalar units per mm, exactly.
     pub fn gradient_factor_at(&self, label: u16, magnitude: f64) -> f64 {
-        self.transfers[self.of(label)].gradient_factor(magnitude)
+        self.transfers[self.table(label)].gradient_factor(magnitude)
     }
 
     /// False where no voxel of a label shows, whatever its scalar.
     #[inline(always)]
     pub fn is_shown(&self, label: u16) -> bool {
-        self.shown[self.of(label)]
+        self.shown[self.table(label)]
     }
 }
 

@@ -201,11 +201,16 @@ impl Stage {
         let volume = loaded.volume;
         let presets = FittedPresets::of(&volume, loaded.modality.as_deref());
         let resolved = request.resolve(&volume, &presets, &LIMITS).map_err(refused)?;
-        let labels = labels(&volume, &resolved)?;
+        let segmentation = segmentation(&volume, &resolved)?;
         let solids = resolved.geometry.iter().map(solid).collect::<Result<_, _>>()?;
         let progress = spinner("octree");
         let level = (0..resolved.level()).fold(volume.clone(), |finer, _| pyramid::coarser(&finer));
         let prepared = PreparedVolume::build(level);
+        let told = resolved.looks().filter_map(|look| look.labels.as_ref());
+        let labels = segmentation.map(|labels| {
+            let tables = told.map(|told| told.tables(prepared.volume(), &labels)).collect();
+            (labels, tables)
+        });
         progress.set_message("run-length encodings");
         let mut looks = resolved.looks().map(|look| Classified::build(&prepared, look));
         let classified = looks.next().flatten();
@@ -247,18 +252,16 @@ impl Stage {
 
 /// The segmentation with the tables of the `nth` look.
 fn by_label((labels, tables): &(Volume, Vec<LabelTables>), nth: usize) -> Labels<'_> {
-    Labels { voxels: labels.scalars(), tables: &tables[nth] }
+    tables[nth].of(labels)
 }
 
-/// The labels that a request names by their file, and the tables of its looks.
-fn labels(volume: &Volume, resolved: &ResolvedRequest) -> Result<Option<(Volume, Vec<LabelTables>)>, Failure> {
+/// The labels that a request names by their file.
+fn segmentation(volume: &Volume, resolved: &ResolvedRequest) -> Result<Option<Volume>, Failure> {
     let Some(told) = &resolved.look.labels else { return Ok(None) };
     let labels = decode::load(Path::new(&told.volume), &Limits::default())
         .map_err(|error| Failure::of(&told.volume)(error.to_string()))?;
     told.suit(volume, &labels).map_err(refused)?;
-    let told = resolved.looks().filter_map(|look| look.labels.as_ref());
-    let tables = told.map(|told| told.tables(volume, &labels)).collect();
-    Ok(Some((labels, tables)))
+    Ok(Some(labels))
 }
 
 /// A mesh that a request names by its file, of a format that the file's name ends with.

@@ -28,7 +28,7 @@ use super::metrics;
 use super::render_pool::{PoolError, RenderPool, Ticket};
 use super::request::{Look, ResolvedLabels, ResolvedShadows};
 use super::store::LoadedVolume;
-use crate::classify::labels::{LabelTables, Labels};
+use crate::classify::labels::LabelTables;
 use crate::classify::{Classification, Encodings, Purpose, TransferFunction};
 use crate::render::Cancel;
 use crate::render::shadow::Shadow;
@@ -239,7 +239,7 @@ impl ClassifiedCache {
         build.await.map_err(|_| PoolError::Panicked)?.map_err(|shared| PoolError::clone(&shared))
     }
 
-    /// The tables of `volume`'s voxels by the labels that another one holds, from memory or made by a job of `ticket`.
+    /// The tables of the voxels of a `level` of `volume` by the labels that another one holds, from memory or made by a job of `ticket`.
     ///
     /// # Errors
     /// Where making them panicked.
@@ -247,12 +247,13 @@ impl ClassifiedCache {
         &self,
         ticket: &Ticket,
         volume: &Arc<LoadedVolume>,
+        level: usize,
         labels: &Arc<LoadedVolume>,
         told: &ResolvedLabels,
     ) -> Result<Arc<LabelTables>, PoolError> {
-        let key = format!("{:032x} {:032x} {told:?}", volume.fingerprint, labels.fingerprint).into();
+        let key = format!("{:032x} {level} {:032x} {told:?}", volume.fingerprint, labels.fingerprint).into();
         let (volume, labels, told) = (Arc::clone(volume), Arc::clone(labels), told.clone());
-        let job = move |_: &Cancel| Arc::new(told.tables(volume.volume(), labels.volume()));
+        let job = move |_: &Cancel| Arc::new(told.tables(volume.level(level).volume(), labels.volume()));
         let made = self.labels.try_get_with(key, async move { ticket.run(job).await.map(|(tables, _)| tables) }).await;
         made.map_err(|shared| PoolError::clone(&shared))
     }
@@ -283,7 +284,7 @@ impl ClassifiedCache {
         let (volume, told) = (Arc::clone(volume), told.clone());
         let labels = labels.map(|(labels, _, tables)| (Arc::clone(labels), Arc::clone(tables)));
         let job = move |_: &Cancel| {
-            let labels = labels.as_ref().map(|(labels, tables)| Labels { voxels: labels.volume().scalars(), tables });
+            let labels = labels.as_ref().map(|(labels, tables)| tables.of(labels.volume()));
             told.cast(volume.level(made_from.level), &made_from.transfer, labels)
         };
         let made =

@@ -19,7 +19,6 @@ use super::request::{GeometryRequest, RenderRequest, RequestError, ResolvedReque
 use super::scene::{self, ClientScene, Parts};
 use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
-use crate::classify::labels::Labels;
 use crate::encode::{Format, encode};
 use crate::mesh::Mesh;
 use crate::render::raster::Solid;
@@ -267,7 +266,10 @@ impl Asked {
         for told in self.frame.looks().map(|look| look.labels.as_ref()) {
             tables.push(match self.labels.as_ref().zip(told) {
                 None => None,
-                Some((labels, told)) => Some(app.store.classified.labels(ticket, &self.volume, labels, told).await?),
+                Some((labels, told)) => {
+                    let level = self.frame.level();
+                    Some(app.store.classified.labels(ticket, &self.volume, level, labels, told).await?)
+                }
             });
         }
         let shadow = match &self.frame.shadows {
@@ -292,10 +294,7 @@ impl Asked {
                     transfer: &look.transfer,
                     classification: classified.as_ref().map(|c| &*c.classification),
                     encodings: classified.as_ref().and_then(|c| c.encodings.as_deref()),
-                    labels: labels
-                        .as_ref()
-                        .zip(tables.as_ref())
-                        .map(|(labels, tables)| Labels { voxels: labels.volume().scalars(), tables }),
+                    labels: labels.as_ref().zip(tables.as_ref()).map(|(labels, tables)| tables.of(labels.volume())),
                     // Not in regions that look otherwise.
                     shadow: shadow.as_deref().filter(|_| nth == 0),
                 })

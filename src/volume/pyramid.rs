@@ -67,6 +67,25 @@ pub fn coarser_by(volume: &Volume, filter: BoxFilter) -> Volume {
         .expect("half of a sound volume is sound")
 }
 
+/// A level's labels, `dims` of them: names have no mean, so each voxel has that of the voxel of `labels` that is next to where it stands.
+pub fn labels_of_level(labels: &Volume, dims: [usize; 3]) -> Scalars {
+    let nearest = |axis: usize| {
+        // Outermost voxels stand on the box's faces, on all levels.
+        let spacing = (labels.dims()[axis] - 1) as f64 / (dims[axis] - 1) as f64;
+        (0..dims[axis]).map(|at| (at as f64 * spacing).round() as usize).collect::<Vec<_>>()
+    };
+    let [x, y, z] = [0, 1, 2].map(nearest);
+    let [nx, ny, _] = labels.dims();
+    let rows = z.iter().flat_map(|k| y.iter().map(move |j| (k * ny + j) * nx));
+    fn picked<T: Copy>(codes: &[T], rows: impl Iterator<Item = usize>, x: &[usize]) -> Vec<T> {
+        rows.flat_map(|row| x.iter().map(move |i| codes[row + i])).collect()
+    }
+    match labels.scalars() {
+        Scalars::U8(codes) => Scalars::U8(picked(codes, rows, &x)),
+        Scalars::U16(codes) => Scalars::U16(picked(codes, rows, &x)),
+    }
+}
+
 /// Where the voxels of the next level stand.
 fn stretched(volume: &Volume) -> Placement {
     let stretch = DVec3::from_array([0, 1, 2].map(|axis| spacing(volume.dims()[axis])));
@@ -207,6 +226,21 @@ mod tests {
         let placement = Placement::from_spacing(DVec3::new(1.0, 2.0, 0.5));
         let report = ImportReport::plain("test", ScalarType::U8);
         Volume::new(dims, placement, Scalars::U8(codes), (1.0, 0.0), report).unwrap()
+    }
+
+    #[test]
+    fn labels_of_a_level_are_those_next_to_its_voxels() {
+        let dims = [7, 4, 2];
+        let labels: Vec<u8> = (0..7 * 4 * 2).collect();
+        let report = ImportReport::plain("test", ScalarType::U8);
+        let placement = Placement::from_spacing(DVec3::ONE);
+        let labels = Volume::new(dims, placement, Scalars::U8(labels), (1.0, 0.0), report).unwrap();
+        // Places 0, 2, 4, 6 along x, 0 and 3 along y.
+        let Scalars::U8(coarse) = labels_of_level(&labels, [4, 2, 2]) else { panic!("another type") };
+        assert_eq!(coarse, [0, 2, 4, 6, 21, 23, 25, 27, 28, 30, 32, 34, 49, 51, 53, 55]);
+        // Of the level after that, 0 and 6: 3 lies halfway.
+        let Scalars::U8(coarse) = labels_of_level(&labels, [3, 2, 2]) else { panic!("another type") };
+        assert_eq!(coarse[..3], [0, 3, 6]);
     }
 
     #[test]

@@ -120,7 +120,7 @@ async fn in_regions_labels_look_as_they_say_and_other_voxels_as_the_region() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn labels_go_with_projections_and_gradient_opacity() {
+async fn labels_go_with_projections_gradient_opacity_and_levels() {
     let service = running().await;
     let points = |opacity: f64| json!([{"value": 50, "opacity": 0, "color": "#ffffff"}, {"value": 150, "opacity": opacity, "color": "#ffffff"}]);
     let hidden = json!({"points": [{"value": 0, "opacity": 0, "color": "#ffffff"}]});
@@ -135,6 +135,11 @@ async fn labels_go_with_projections_and_gradient_opacity() {
         (
             json!({"blend": "average", "transfer_function": hidden, "labels": {
                 "volume": "halves", "looks": [{"label": 2, "transfer_function": {"points": points(0.9)}}]}}),
+            [false, true],
+        ),
+        (json!({"level": 1, "labels": {"volume": "halves", "looks": [{"label": 2, "visible": false}]}}), [true, false]),
+        (
+            json!({"level": 1, "algorithm": "raycast", "labels": {"volume": "halves", "looks": [{"label": 1, "visible": false}]}}),
             [false, true],
         ),
         (
@@ -196,7 +201,7 @@ async fn labels_that_do_not_fit_are_refused() {
         (&steep, "/labels/looks"),
         (r#""labels": {"volume": "measured"}"#, "/labels/volume"),
         (r#""labels": {"volume": "halves"}, "algorithm": "preintegrated""#, "/algorithm"),
-        (r#""labels": {"volume": "halves"}, "level": 1"#, "/level"),
+        (r#""labels": {"volume": "halves"}, "level": 7"#, "/level"),
         (
             r#""labels": {"volume": "halves"}, "regions": [{"sphere": {"center": [0, 0, 0], "radius": 1}, "blend": "maximum"}]"#,
             "/regions/0/blend",

@@ -1,14 +1,14 @@
 //! Segmentations: voxels look as their label says.
 
 use proptest::prelude::*;
-use shearwarp::classify::labels::{LabelLook, LabelTables, Labels, union};
+use shearwarp::classify::labels::{LabelLook, LabelTables, union};
 use shearwarp::classify::transfer::GradientPoint;
 use shearwarp::classify::{Classification, Encodings, Purpose, TransferFunction};
 use shearwarp::render::{
     Algorithm, Blend, Cancel, Image, IntensityProjection, Preintegration, Projection, Quality, Scene, Settings,
     Shading, View, Window, render,
 };
-use shearwarp::volume::{ImportReport, PreparedVolume, ScalarType, Scalars, Volume, phantom};
+use shearwarp::volume::{ImportReport, PreparedVolume, ScalarType, Scalars, Volume, phantom, pyramid};
 
 use crate::scenes::{on_threads, orbit, plain, psnr, transfer};
 
@@ -43,7 +43,7 @@ impl Labelled {
             transfer: &self.transfer,
             classification: Some(&self.classified.0),
             encodings: encoded.then_some(&self.classified.1),
-            labels: Some(Labels { voxels: self.labels.scalars(), tables: &self.tables }),
+            labels: Some(self.tables.of(&self.labels)),
             shadow: None,
         };
         render(&scene, view, settings, &Cancel::default()).unwrap().0
@@ -74,14 +74,20 @@ fn a_label_that_is_not_visible_is_gone_and_the_others_stay() {
     // What the patient has on the left goes; label 300 is seen from the right half of the picture only.
     let labels = segmentation(&volume, true, |[i, ..]| if i < 15 { 7 } else { 300 });
     let gone = LabelLook { label: 300, transfer: transfer(&[(0.0, 0.0)]) };
-    let scene = Labelled::new(volume, labels, &[gone], &medium);
-    for projection in [Projection::Parallel, Projection::Perspective] {
+    // So it is on a coarser level.
+    let coarse = pyramid::coarser(&volume);
+    let scenes =
+        [volume, coarse].map(|volume| Labelled::new(volume, labels.clone(), std::slice::from_ref(&gone), &medium));
+    for (scene, projection) in
+        scenes.iter().flat_map(|scene| [(scene, Projection::Parallel), (scene, Projection::Perspective)])
+    {
         let view = scene.view(projection, 0.0, 0.0);
         for algorithm in [Algorithm::Classified, Algorithm::FastClassification, Algorithm::Raycast] {
             let frame = scene.frame(&view, &plain(algorithm));
             let alpha = |x: usize| frame.pixels[4 * (28 * 64 + x) + 3];
             // Looked at from in front, i grows to the right.
-            assert!(alpha(26) > 150 && alpha(38) == 0, "{algorithm:?}: {} {}", alpha(26), alpha(38));
+            // Opacities are for the length of a voxel, and those of the coarse level are twice as long.
+            assert!(alpha(26) > 100 && alpha(38) == 0, "{algorithm:?}: {} {}", alpha(26), alpha(38));
         }
     }
 }

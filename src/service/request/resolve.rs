@@ -231,13 +231,8 @@ impl RenderRequest {
             return Err(RequestError::refused("/algorithm", detail));
         }
         if let Some(labels) = &self.labels {
-            for (pointer, there, detail) in [
-                ("/labels", volume.colors().is_some(), "belong to volumes of scalars"),
-                ("/level", self.level.is_some_and(|level| level > 0), "labels have level 0 only"),
-            ] {
-                if there {
-                    return Err(RequestError::refused(pointer, detail));
-                }
+            if volume.colors().is_some() {
+                return Err(RequestError::refused("/labels", "belong to volumes of scalars"));
             }
             self.keep_to_tables(labels.looks.len())?;
         }
@@ -274,7 +269,7 @@ impl RenderRequest {
                 RequestError::refused("/level", detail)
             });
         }
-        if self.quality != Quality::Draft || self.labels.is_some() || self.algorithm(volume) == Algorithm::Raycast {
+        if self.quality != Quality::Draft || self.algorithm(volume) == Algorithm::Raycast {
             return Ok(0);
         }
         let voxels = view.pixel_size(volume.centre()) / volume.smallest_spacing();
