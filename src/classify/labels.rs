@@ -23,7 +23,7 @@ pub struct LabelLook {
 pub struct LabelTables {
     /// For every code of the label volume which of the tables.
     by_code: Vec<u8>,
-    /// First that of voxels whose label nothing was said of; so are those that follow.
+    /// First that of voxels whose label nothing was said of, then those of the looks. What follows is in the same order.
     tables: Vec<CodeTables>,
     transfers: Vec<TransferFunction>,
     /// False for those that show nothing.

@@ -158,14 +158,13 @@ mod tests {
                 None => prop_assert!(curves.iter().all(|curve| curve.gradient_opacity.is_empty())),
                 Some(common) => {
                     let byte = byte(&common, magnitude);
-                    // Of all curves, the steps within them too; one part of 255 may be lost to what is least.
+                    // Half a byte of what all curves change by, steps too; one byte of 255 is that of the least that shows.
                     let change = |curve: &TransferFunction| {
                         curve.gradient_opacity.windows(2).map(|pair| (pair[1].opacity - pair[0].opacity).abs()).sum::<f64>()
                     };
                     let bound = 0.5 / 254.0 * curves.iter().map(change).sum::<f64>() + 1e-6;
                     for curve in &curves {
                         let (got, exact) = (f64::from(common.factors(curve)[byte]), curve.gradient_factor(magnitude));
-                        // Within a step's rounding the neighbouring value is as good as nothing lost.
                         prop_assert!((got - exact).abs() <= bound, "{got} {exact} {bound} {curves:?}");
                     }
                 }

@@ -218,12 +218,12 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
                     sampler.between(packet, layer, n as f32 * step)
                 };
                 let span = [layer as f32 + (n - 1) as f32 * step, layer as f32 + n as f32 * step];
-                if span[0] < inside.0 || span[1] > inside.1 {
-                    self.ends(packet, open, span, &front, &back, &mut found);
+                if span[0] < inside.0 || span[1] > inside.1 || self.walk.labels.is_some() {
+                    self.ray_by_ray(packet, open, span, &front, &back, &mut found);
                 } else {
-                    match self.walk.labels {
-                        None => self.whole(open, span, &front, &back, &mut found),
-                        Some(labels) => self.labelled(packet, open, labels, span, &front, &back, &mut found),
+                    for lane in 0..LANES {
+                        let added = self.reduce.add(found.code[lane], front[lane], back[lane], span[1] - span[0]);
+                        found.code[lane] = if open >> lane & 1 == 1 { added } else { found.code[lane] };
                     }
                 }
                 front = back;
@@ -247,56 +247,6 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
 }
 
 impl<T: Code, R: Reduce> Project<'_, T, R> {
-    /// A slab that counts.
-    #[inline(always)]
-    fn whole(&self, open: u32, [from, to]: [f32; 2], front: &Lanes, back: &Lanes, found: &mut Found) {
-        for lane in 0..LANES {
-            let added = self.reduce.add(found.code[lane], front[lane], back[lane], to - from);
-            found.code[lane] = if open >> lane & 1 == 1 { added } else { found.code[lane] };
-        }
-    }
-
-    /// A slab of which counts what labels show.
-    #[inline(never)]
-    #[allow(clippy::too_many_arguments)]
-    fn labelled(
-        &self,
-        packet: &Packet,
-        open: u32,
-        labels: Labels<'_>,
-        span: [f32; 2],
-        front: &Lanes,
-        back: &Lanes,
-        found: &mut Found,
-    ) {
-        for lane in (0..LANES).filter(|lane| open >> lane & 1 == 1) {
-            self.slab(packet, lane, Some(labels), span, [front[lane], back[lane]], found);
-        }
-    }
-
-    /// The slab of one ray.
-    fn slab(
-        &self,
-        packet: &Packet,
-        lane: usize,
-        labels: Option<Labels<'_>>,
-        [from, to]: [f32; 2],
-        [front, back]: [f32; 2],
-        found: &mut Found,
-    ) {
-        let sampler = &self.walk.sampler;
-        let shows =
-            |t| labels.is_none_or(|labels| labels.shows(sampler.nearest_voxel(sampler.position(packet, lane, t))));
-        let (front, back, length) = match (shows(from), shows(to)) {
-            (true, true) => (front, back, to - from),
-            (true, false) => (front, front, 0.5 * (to - from)),
-            (false, true) => (back, back, 0.5 * (to - from)),
-            (false, false) => return,
-        };
-        found.code[lane] = self.reduce.add(found.code[lane], front, back, length);
-        found.length[lane] += length;
-    }
-
     /// The first layer from `layer` on whose leaves matter to an open lane.
     #[inline(always)]
     fn next_layer(&self, packet: &Packet, mut layer: usize, end: usize, open: u32, found: &Lanes) -> usize {
@@ -320,20 +270,37 @@ impl<T: Code, R: Reduce> Project<'_, T, R> {
         end
     }
 
-    /// Slabs some of which are cut by an end of their ray.
+    /// Slabs some of which are cut by an end of their ray, or of which counts what labels show.
     #[inline(never)]
-    fn ends(&self, packet: &Packet, open: u32, [from, to]: [f32; 2], front: &Lanes, back: &Lanes, found: &mut Found) {
+    fn ray_by_ray(
+        &self,
+        packet: &Packet,
+        open: u32,
+        [from, to]: [f32; 2],
+        front: &Lanes,
+        back: &Lanes,
+        found: &mut Found,
+    ) {
+        let Walk { sampler, labels, .. } = self.walk;
         for lane in (0..LANES).filter(|lane| open >> lane & 1 == 1) {
             let (enter, leave) = (packet.enter[lane].max(from), packet.leave[lane].min(to));
             if enter >= leave {
                 continue;
             }
-            let sampler = &self.walk.sampler;
             let at = |t: f32, whole: f32, on_slice: f32| {
                 if t == whole { on_slice } else { sampler.scalar(sampler.position(packet, lane, t)) }
             };
             let (front, back) = (at(enter, from, front[lane]), at(leave, to, back[lane]));
-            self.slab(packet, lane, self.walk.labels, [enter, leave], [front, back], found);
+            let shows =
+                |t| labels.is_none_or(|labels| labels.shows(sampler.nearest_voxel(sampler.position(packet, lane, t))));
+            let (front, back, length) = match (shows(enter), shows(leave)) {
+                (true, true) => (front, back, leave - enter),
+                (true, false) => (front, front, 0.5 * (leave - enter)),
+                (false, true) => (back, back, 0.5 * (leave - enter)),
+                (false, false) => continue,
+            };
+            found.code[lane] = self.reduce.add(found.code[lane], front, back, length);
+            found.length[lane] += length;
         }
     }
 }
