@@ -12,45 +12,23 @@
 //! | y | x | z | y | along x | plane j, row k |
 //! | x | y | z | x | along y | plane j, row k |
 //!
-//! Runs never cross a multiple of 64 voxels, so that a run is a mask in one machine word, and have at most 63, so that the pixels
-//! between and beside their voxels are one, too; the kernel intersects them with the pixels that are not opaque yet.
+//! The runs of 64 voxels are kept as the bits of a machine word, as those of cells are ([`super::cells`]): a word is intersected with the
+//! pixels that are not opaque yet whatever runs it holds, and the voxels before one are counted in an instruction.
 //!
 //! How the encodings are made: `rle/encode.rs`.
 
 mod encode;
 
+use std::ops::Range;
+
+use bytemuck::zeroed_vec;
+
 pub use super::marks::WORD;
-
-/// Voxels in a run at most.
-pub(super) const LONGEST_RUN: usize = WORD - 1;
-
+use super::marks::words;
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
+use crate::simd::prefetch;
 use crate::volume::PreparedVolume;
-
-/// A run of non-transparent voxels within one word of a scanline.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
-#[repr(C)]
-pub struct Run {
-    /// Index of the first voxel in the scanline.
-    pub start: u16,
-    /// 1..=63.
-    pub length: u16,
-}
-
-impl Run {
-    /// The word of the scanline that the run lies in.
-    #[inline(always)]
-    pub fn word(self) -> usize {
-        usize::from(self.start) / WORD
-    }
-
-    /// The run's voxels as bits of that word.
-    #[inline(always)]
-    pub fn mask(self) -> u64 {
-        (u64::MAX >> (WORD as u32 - u32::from(self.length))) << (u32::from(self.start) % WORD as u32)
-    }
-}
 
 /// What a frame needs of a non-transparent voxel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -62,54 +40,113 @@ pub struct Voxel {
     pub normal: u16,
 }
 
+/// So many words can be read from a scanline's first on past its last, and so many voxels past those that are stored.
+pub const MORE: usize = 4;
+
 /// One encoded scanline.
 #[derive(Clone, Copy, Debug)]
 pub struct Scanline<'a> {
-    pub runs: &'a [Run],
-    /// The voxels of all runs, one after the other.
-    pub voxels: &'a [Voxel],
+    plane: &'a Plane,
+    row: usize,
+}
+
+impl<'a> Scanline<'a> {
+    /// A bit for each voxel, set where it is not transparent.
+    #[inline(always)]
+    pub fn marks(&self) -> &'a [u64] {
+        &self.marks_and_more()[..self.plane.words]
+    }
+
+    /// The same and what follows: at least [`MORE`] words.
+    #[inline(always)]
+    pub fn marks_and_more(&self) -> &'a [u64] {
+        &self.plane.marks[self.row * self.plane.words..]
+    }
+
+    /// The voxels that are not transparent, one after the other.
+    #[inline(always)]
+    pub fn voxels(&self) -> &'a [Voxel] {
+        &self.plane.voxels[self.range()]
+    }
+
     /// The voxels' gradient opacity, 255 = 1; empty where it plays no part.
-    pub factors: &'a [u8],
+    #[inline(always)]
+    pub fn factors(&self) -> &'a [u8] {
+        if self.plane.factors.is_empty() { &[] } else { &self.plane.factors[self.range()] }
+    }
+
+    /// The voxels of word `word` of the marks and what follows, at least [`MORE`] of them; and their gradient opacity.
+    #[inline(always)]
+    pub fn word(&self, word: usize) -> (&'a [Voxel], &'a [u8]) {
+        let before: u32 = self.marks()[..word].iter().map(|word| word.count_ones()).sum();
+        let first = (self.plane.rows[self.row] + before) as usize;
+        (&self.plane.voxels[first..], self.plane.factors.get(first..).unwrap_or_default())
+    }
+
+    #[inline(always)]
+    fn range(&self) -> Range<usize> {
+        self.plane.rows[self.row] as usize..self.plane.rows[self.row + 1] as usize
+    }
 }
 
 /// Encoded scanlines of one plane.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Plane {
-    /// First run and first voxel of every row, and past the last.
-    pub rows: Vec<[u32; 2]>,
-    pub runs: Vec<Run>,
-    pub voxels: Vec<Voxel>,
-    pub factors: Vec<u8>,
+    /// The first voxel of every row, and past the last.
+    rows: Vec<u32>,
+    /// Of a row.
+    words: usize,
+    /// By row, and [`MORE`] of zero.
+    marks: Vec<u64>,
+    /// By row, and [`MORE`] that are in none.
+    voxels: Vec<Voxel>,
+    factors: Vec<u8>,
 }
 
 impl Plane {
-    /// Rows of so many words of marks. The voxels, as many as marks, are given afterwards.
-    pub(super) fn of_marks(marks: &[u64], words: usize) -> Self {
-        let mut plane = Self { rows: Vec::with_capacity(marks.len() / words + 1), ..Self::default() };
+    /// Rows of so many words of marks, and [`MORE`] of zero. The voxels, as many as marks, are given afterwards.
+    pub(super) fn of_marks(marks: Vec<u64>, words: usize) -> Self {
+        let count = marks.len() - MORE;
+        let mut rows = Vec::with_capacity(count / words + 1);
+        rows.push(0);
         let mut voxels = 0;
-        plane.rows.push([0, 0]);
-        for row in marks.chunks_exact(words) {
-            for (word, &bits) in row.iter().enumerate() {
-                plane.runs.extend(runs(word, bits));
-                voxels += bits.count_ones();
-            }
-            plane.rows.push([plane.runs.len() as u32, voxels]);
+        for row in marks[..count].chunks_exact(words) {
+            voxels += row.iter().map(|word| word.count_ones()).sum::<u32>();
+            rows.push(voxels);
         }
-        plane.runs.shrink_to_fit();
-        plane
+        Self { rows, words, marks, voxels: zeroed_vec(voxels as usize + MORE), factors: vec![] }
     }
 
-    #[inline(always)]
-    fn scanline(&self, row: usize) -> Scanline<'_> {
-        let ([run, voxel], [run_end, voxel_end]) = (self.rows[row], self.rows[row + 1]);
-        let voxels = voxel as usize..voxel_end as usize;
-        let factors = if self.factors.is_empty() { &[] } else { &self.factors[voxels.clone()] };
-        Scanline { runs: &self.runs[run as usize..run_end as usize], voxels: &self.voxels[voxels], factors }
+    /// How many voxels are stored.
+    pub(super) fn count(&self) -> usize {
+        self.voxels.len() - MORE
+    }
+
+    /// Those.
+    pub(super) fn stored(&self) -> &[Voxel] {
+        &self.voxels[..self.count()]
+    }
+
+    /// Their gradient opacity, where it plays a part.
+    pub(super) fn factors(&self) -> &[u8] {
+        &self.factors
+    }
+
+    /// Fills in the voxels and, where it plays a part, their gradient opacity.
+    pub(super) fn fill(&mut self, voxels: &[Voxel], factors: Vec<u8>) {
+        let count = self.count();
+        self.voxels[..count].copy_from_slice(voxels);
+        self.factors = factors;
+    }
+
+    /// Words of all rows.
+    pub(super) fn row_marks(&self) -> &[u64] {
+        &self.marks[..self.marks.len() - MORE]
     }
 
     fn bytes(&self) -> u64 {
-        (size_of_val(&self.rows[..]) + size_of_val(&self.runs[..]) + size_of_val(&self.voxels[..]) + self.factors.len())
-            as u64
+        let voxels = size_of_val(&self.voxels[..]) + self.factors.len();
+        (size_of_val(&self.rows[..]) + size_of_val(&self.marks[..]) + voxels) as u64
     }
 }
 
@@ -141,8 +178,7 @@ impl Shown {
         let words = scanlines.div_ceil(WORD) + 1;
         let mut bits = vec![0; words * slices];
         for (plane, Plane { rows, .. }) in planes.iter().enumerate() {
-            for (row, ends) in rows.windows(2).enumerate().filter(|(_, ends)| ends[0] != ends[1]) {
-                debug_assert!(ends[0][0] < ends[1][0], "voxels are in runs");
+            for (row, _) in rows.windows(2).enumerate().filter(|(_, ends)| ends[0] != ends[1]) {
                 let (j, k) = if plane_is_slice { (row, plane) } else { (plane, row) };
                 bits[k * words + j / WORD] |= 1 << (j % WORD);
             }
@@ -161,13 +197,15 @@ pub struct AxisEncoding<'a> {
 }
 
 impl<'a> AxisEncoding<'a> {
-    /// What [`Self::scanline`] looks up first.
+    /// Asks for what tells which voxels of scanline `j` of slice `k` are stored and where; there may be no such slice.
     #[inline(always)]
-    pub fn place(&self, j: usize, k: usize) -> &'a [[u32; 2]] {
+    pub fn prefetch_marks(&self, j: usize, k: usize) {
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
-        // Before the first one and after the last there is none.
-        let rows = self.planes.get(plane).and_then(|plane| plane.rows.get(row..)).unwrap_or_default();
-        &rows[..rows.len().min(1)]
+        if let Some(plane) = self.planes.get(plane) {
+            let first = row * plane.words;
+            prefetch(plane.rows.get(row..=row).unwrap_or_default());
+            prefetch(plane.marks.get(first..=first).unwrap_or_default());
+        }
     }
 
     /// Which of the scanlines of slice `k` from `j` on hold anything, a bit each, and of 64 at most.
@@ -182,7 +220,7 @@ impl<'a> AxisEncoding<'a> {
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
-        self.planes[plane].scanline(row)
+        Scanline { plane: &self.planes[plane], row }
     }
 }
 
@@ -206,11 +244,10 @@ impl RunLengthVolume {
 
     /// What encoding so many voxels, those of the occupied leaves, can take in memory at most.
     pub(super) fn bytes_at_most([nx, ny, nz]: [usize; 3], voxels: u64) -> u64 {
-        // A voxel and its factor take 5 bytes, a run 4. Of n voxels v are encoded in at most n - v runs and
-        // two for each word, so that both together take 5 n at most, besides those and the rows.
+        // A voxel and its factor take 5 bytes.
         let order = |length: usize, rows: usize| {
-            let per_row = size_of::<[u32; 2]>() + length.div_ceil(WORD) * 2 * size_of::<Run>();
-            5 * voxels + ((rows * nz + nz) * per_row) as u64
+            let marks = (rows * words(length) + MORE) * size_of::<u64>() + (rows + 1) * size_of::<u32>();
+            5 * voxels + (nz * (marks + MORE * size_of::<Voxel>())) as u64
         };
         let shown =
             |scanlines: usize, slices: usize| ((scanlines.div_ceil(WORD) + 1) * slices * size_of::<u64>()) as u64;
@@ -225,7 +262,7 @@ impl RunLengthVolume {
 
     /// Number of non-transparent voxels.
     pub fn voxels(&self) -> u64 {
-        self.along_x.iter().map(|p| p.voxels.len() as u64).sum()
+        self.along_x.iter().map(|plane| plane.count() as u64).sum()
     }
 
     /// Share of the voxels that are not transparent, 0..=1.
@@ -237,36 +274,5 @@ impl RunLengthVolume {
     pub fn bytes(&self) -> u64 {
         let shown: usize = self.shown.iter().map(|shown| size_of_val(&shown.bits[..])).sum();
         shown as u64 + self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum::<u64>()
-    }
-}
-
-/// The runs of set bits in a word.
-fn runs(word: usize, mut bits: u64) -> impl Iterator<Item = Run> {
-    std::iter::from_fn(move || {
-        if bits == 0 {
-            return None;
-        }
-        let start = bits.trailing_zeros();
-        let length = (!(bits >> start)).trailing_zeros().min(WORD as u32 - start).min(LONGEST_RUN as u32);
-        let run = Run { start: (word * WORD) as u16 + start as u16, length: length as u16 };
-        bits &= !run.mask();
-        Some(run)
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn runs_cover_exactly_the_set_bits() {
-        for bits in [0, 1, u64::MAX, 1 << 63, 0xf0f0_0000_ffff_0001, !1] {
-            let union = runs(3, bits).fold(0, |union, run| {
-                assert_eq!(run.word(), 3);
-                assert_eq!(union & run.mask(), 0, "runs overlap");
-                union | run.mask()
-            });
-            assert_eq!(union, bits);
-        }
     }
 }

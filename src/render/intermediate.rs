@@ -18,14 +18,13 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::Background;
-use super::pixel::{BLOCK, Pixel, nearest};
-use super::simd::shorts::FOUR;
+use super::pixel::{BLOCK, Pixel, WORD, nearest};
 
-/// Pixels of a mask word.
-const WORD: usize = 64;
+/// So many pixels behind a scanline's last may be taken with it, where nothing is added to them.
+const BESIDE: usize = WORD;
 
-/// So many pixels behind a scanline's last may be blended with it, where nothing is added to them.
-const BESIDE: usize = FOUR;
+/// So many words behind those of a scanline's pixels are none's.
+const MORE: usize = 5;
 
 /// A pixel that the warp reads: red, green, blue and opacity, premultiplied, in units of 1 / [`ONE`].
 pub type Fixed = [i16; 4];
@@ -53,11 +52,13 @@ impl<T> Spare<T> {
         Self(Mutex::new(vec![]))
     }
 
-    fn take(&self) -> Vec<T> {
+    /// Some of it; what is in it is of another frame.
+    pub fn take(&self) -> Vec<T> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
     }
 
-    fn give(&self, pixels: Vec<T>) {
+    /// Memory that is not needed any more.
+    pub fn give(&self, pixels: Vec<T>) {
         let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if pixels.capacity() * size_of::<T>() <= Self::BYTES && spare.len() < Self::COUNT {
             spare.push(pixels);
@@ -96,7 +97,7 @@ pub struct Strip<'a> {
 pub struct BandBuffer<P: Pixel> {
     /// All clear but while a band is open.
     pixels: Vec<P>,
-    /// Words per scanline: one more than its pixels need, so that a shifted mask can be read across the end.
+    /// By scanline, and [`MORE`] words: masks are read shifted, and several words at once.
     non_opaque: Vec<u64>,
     open: bool,
 }
@@ -243,7 +244,7 @@ impl Strip<'_> {
         if buffer.pixels.len() < count {
             buffer.pixels.resize(count, P::CLEAR);
         }
-        let words = width.div_ceil(WORD) + 1;
+        let words = width.div_ceil(WORD) + MORE;
         buffer.non_opaque.resize(words * self.drawn.len(), 0);
         let (whole, rest) = (width / WORD, width % WORD);
         for words in buffer.non_opaque.chunks_exact_mut(words) {

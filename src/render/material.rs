@@ -16,10 +16,13 @@ use glam::Vec4;
 use super::Sampling;
 use super::composite::samples::BLOCK;
 use super::composite::sources::Stored;
+use super::composite::{first_run, run_mask};
 use super::factorization::Factorization;
-use super::pixel::{Pixel, nearest, short};
+use super::intermediate::Spare;
+use super::pixel::{Pixel, WORD, first_four, nearest, short};
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
+use super::simd::masks::fours;
 use super::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT};
 use crate::classify::CodeTables;
 use crate::classify::labels::LabelTables;
@@ -291,21 +294,40 @@ pub trait SliceShader: Copy {
     type Pixel: Pixel;
     /// False where colours stay as they are.
     const LIT: bool;
-    /// True where light is found for a block of voxels at once.
-    const BLOCKS: bool;
     /// True where voxels have a gradient opacity.
     const FACTORED: bool;
     /// True where samples must be [`Self::resampled`].
     const PAINTED: bool;
 
     /// What is resampled of voxel (i, j, k); `factor` is its gradient opacity, 255 = 1.
-    fn voxel<W: Shorts>(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Self::Pixel;
+    fn voxel(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Self::Pixel;
 
-    /// The same of consecutive voxels from (i, j, k) on; `factors` are looked at where there are any.
-    fn voxels<W: Shorts>(&self, voxels: &[Voxel], factors: &[u8], at: [usize; 3], out: &mut [Self::Pixel]);
+    /// The same of a word of voxels: of every aligned four whose first bit is `asked` for. Nothing where none is drawn.
+    fn word<W: Shorts>(&self, word: &VoxelWord<'_>, asked: u64, out: &mut [Self::Pixel; WORD]);
 
     /// Premultiplied colour and opacity of what was resampled, along a ray of a `length` in units of the shortest.
     fn resampled(&self, sample: Self::Pixel, length: f32) -> Self::Pixel;
+}
+
+/// Voxels of a scanline that one word of marks tells of.
+#[derive(Clone, Copy, Debug)]
+pub struct VoxelWord<'a> {
+    /// Set where a voxel is drawn.
+    pub marks: u64,
+    /// Those that are, one after the other, and at least [`MORE`](crate::classify::rle::MORE) of anything.
+    pub voxels: &'a [Voxel],
+    /// Their gradient opacity, 255 = 1, where that plays a part.
+    pub factors: &'a [u8],
+    /// (i, j, k) of the word's first voxel.
+    pub at: [usize; 3],
+}
+
+impl VoxelWord<'_> {
+    /// How many voxels are drawn before one of the word's.
+    #[inline(always)]
+    fn before(&self, voxel: usize) -> usize {
+        (self.marks & ((1 << voxel) - 1)).count_ones() as usize
+    }
 }
 
 /// The [`Shader`] of floats.
@@ -395,22 +417,39 @@ impl<H: Light, const FACTORED: bool> SliceMaterial<'_, H, FACTORED> {
 impl<H: Light, const FACTORED: bool> SliceShader for SliceMaterial<'_, H, FACTORED> {
     type Pixel = Vec4;
     const LIT: bool = H::LIT;
-    const BLOCKS: bool = H::BLOCKS;
     const FACTORED: bool = FACTORED;
     const PAINTED: bool = H::PAINTED;
 
     #[inline(always)]
-    fn voxel<W: Shorts>(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Vec4 {
+    fn voxel(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Vec4 {
         let [[scale], [add]] = self.light.shade(&[voxel.normal], at);
         self.color(voxel.code, factor, [scale, add], at)
     }
 
+    /// Run by run.
     #[inline(always)]
-    fn voxels<W: Shorts>(&self, voxels: &[Voxel], factors: &[u8], at: [usize; 3], out: &mut [Vec4]) {
-        if H::BLOCKS {
-            self.voxels_by::<BLOCK>(voxels, factors, at, out);
-        } else {
-            self.voxels_by::<1>(voxels, factors, at, out);
+    fn word<W: Shorts>(&self, word: &VoxelWord<'_>, asked: u64, out: &mut [Vec4; WORD]) {
+        // All of each four.
+        let asked = asked * 0b1111;
+        let mut empty = asked & !word.marks;
+        while empty != 0 {
+            let (start, length) = first_run(empty);
+            empty &= !run_mask(start, length);
+            out[start..start + length].fill(Vec4::ZERO);
+        }
+        let mut drawn = asked & word.marks;
+        while drawn != 0 {
+            let (start, length) = first_run(drawn);
+            drawn &= !run_mask(start, length);
+            let before = word.before(start);
+            let stored = before..before + length;
+            let factors = if FACTORED { &word.factors[stored.clone()] } else { &[] };
+            let ([i, j, k], out) = (word.at, &mut out[start..start + length]);
+            if H::BLOCKS {
+                self.voxels_by::<BLOCK>(&word.voxels[stored], factors, [i + start, j, k], out);
+            } else {
+                self.voxels_by::<1>(&word.voxels[stored], factors, [i + start, j, k], out);
+            }
         }
     }
 
@@ -420,12 +459,34 @@ impl<H: Light, const FACTORED: bool> SliceShader for SliceMaterial<'_, H, FACTOR
     }
 }
 
-/// Tables of 16-bit fractions for a frame whose voxels are told by their codes and normals.
-#[derive(Clone, Debug)]
+/// Entries of a table that has one for whatever code there is, so that none is out of bounds.
+const ANY_CODE: usize = 1 << u16::BITS;
+
+static SPARE_ENTRIES: Spare<Short> = Spare::none();
+static SPARE_LIGHTS: Spare<ShortLight> = Spare::none();
+
+/// Tables of 16-bit fractions for a frame whose voxels are told by their codes and normals. What they hold for codes that there are none of
+/// is of another frame.
+#[derive(Debug)]
 pub struct ShortTables {
     /// By how many intervals a slice stands for. Premultiplied colour, not lit yet, and opacity.
     entries: Vec<(f64, Vec<Short>)>,
     lights: Vec<ShortLight>,
+}
+
+impl Drop for ShortTables {
+    fn drop(&mut self) {
+        self.entries.drain(..).for_each(|(_, table)| SPARE_ENTRIES.give(table));
+        SPARE_LIGHTS.give(std::mem::take(&mut self.lights));
+    }
+}
+
+/// A table that begins with some entries.
+fn for_any_code<T: Copy + Default>(spare: &Spare<T>, entries: impl Iterator<Item = T>) -> Vec<T> {
+    let mut table = spare.take();
+    table.resize(ANY_CODE, T::default());
+    table.iter_mut().zip(entries).for_each(|(entry, known)| *entry = known);
+    table
 }
 
 impl ShortTables {
@@ -443,19 +504,19 @@ impl ShortTables {
         }
         let light = |number: f32| nearest(number * (f32::from(UNIT) / 2.0));
         let lights = match shading {
-            None => vec![[light(1.0), 0]; NORMAL_CODES],
+            None => for_any_code(&SPARE_LIGHTS, std::iter::repeat_n([light(1.0), 0], NORMAL_CODES)),
             Some(table) => {
                 // Of numbers that are not negative the bits are in order, too.
                 let bits = table.entries().as_flattened().iter().fold(0, |most, number| number.to_bits().max(most));
                 if f32::from_bits(bits) > Self::BRIGHTEST {
                     return None;
                 }
-                table.entries().iter().map(|entry| entry.map(light)).collect()
+                for_any_code(&SPARE_LIGHTS, table.entries().iter().map(|entry| entry.map(light)))
             }
         };
         let entry = |entry: &Vec4| Short((*entry * entry.w).with_w(entry.w).to_array().map(short));
-        let entries = tables.entries.iter().map(|(share, table)| (*share, table.iter().map(entry).collect())).collect();
-        Some(Self { entries, lights })
+        let by_code = |table: &Vec<Vec4>| for_any_code(&SPARE_ENTRIES, table.iter().map(entry));
+        Some(Self { entries: tables.entries.iter().map(|(share, table)| (*share, by_code(table))).collect(), lights })
     }
 }
 
@@ -466,8 +527,8 @@ pub struct ShortMaterial<'a>(pub &'a ShortTables);
 /// A [`ShortMaterial`] for the voxels of one slice.
 #[derive(Clone, Copy, Debug)]
 pub struct ShortSlice<'a> {
-    table: &'a [Short],
-    lights: &'a [ShortLight],
+    table: &'a [Short; ANY_CODE],
+    lights: &'a [ShortLight; ANY_CODE],
 }
 
 impl<'a> Shader for ShortMaterial<'a> {
@@ -475,36 +536,49 @@ impl<'a> Shader for ShortMaterial<'a> {
 
     #[inline(always)]
     fn slice(&self, share: f64) -> ShortSlice<'a> {
-        ShortSlice { table: table_of(&self.0.entries, share), lights: &self.0.lights }
+        let (Some(table), Some(lights)) = (table_of(&self.0.entries, share).first_chunk(), self.0.lights.first_chunk())
+        else {
+            unreachable!("tables are for any code")
+        };
+        ShortSlice { table, lights }
     }
 }
 
 impl SliceShader for ShortSlice<'_> {
     type Pixel = Short;
     const LIT: bool = true;
-    const BLOCKS: bool = false;
     const FACTORED: bool = false;
     const PAINTED: bool = false;
 
     #[inline(always)]
-    fn voxel<W: Shorts>(&self, voxel: Voxel, _: u8, _: [usize; 3]) -> Short {
-        W::shade_one(self.table[usize::from(voxel.code)], self.lights[usize::from(voxel.normal)])
+    fn voxel(&self, voxel: Voxel, _: u8, _: [usize; 3]) -> Short {
+        self.table[usize::from(voxel.code)].lit(self.lights[usize::from(voxel.normal)])
     }
 
+    /// Four by four.
     #[inline(always)]
-    fn voxels<W: Shorts>(&self, voxels: &[Voxel], _: &[u8], at: [usize; 3], out: &mut [Short]) {
-        let (fours, rest) = voxels.as_chunks::<FOUR>();
-        let (outs, out_rest) = out[..voxels.len()].as_chunks_mut::<FOUR>();
-        for (four, out) in fours.iter().zip(outs) {
+    fn word<W: Shorts>(&self, word: &VoxelWord<'_>, asked: u64, out: &mut [Short; WORD]) {
+        let some = fours(word.marks);
+        let (mut empty, mut drawn) = (asked & !some, asked & some);
+        while empty != 0 {
+            let at = first_four(empty);
+            empty &= empty - 1;
+            out[at..at + FOUR].fill(Short::CLEAR);
+        }
+        while drawn != 0 {
+            let at = first_four(drawn);
+            drawn &= drawn - 1;
+            let before = word.before(at);
+            let Some(four) = word.voxels.get(before..before + FOUR).and_then(<[_]>::first_chunk::<FOUR>) else {
+                unreachable!("there are more than are drawn")
+            };
             let (mut entries, mut lights) = ([Short::CLEAR; FOUR], [[0; 2]; FOUR]);
             for n in 0..FOUR {
                 entries[n] = self.table[usize::from(four[n].code)];
                 lights[n] = self.lights[usize::from(four[n].normal)];
             }
-            *out = W::shade(&entries, &lights);
-        }
-        for (voxel, out) in rest.iter().zip(out_rest) {
-            *out = self.voxel::<W>(*voxel, u8::MAX, at);
+            let shaded = W::shade(entries, lights, word.marks >> at);
+            out[at..at + FOUR].copy_from_slice(&shaded);
         }
     }
 

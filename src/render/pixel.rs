@@ -11,6 +11,9 @@ use glam::Vec4;
 use super::intermediate::{Fixed, ONE, Spare, fixed};
 use super::simd::shorts::{FOUR, Short, ShortWeights, Shorts, UNIT};
 
+/// Pixels of a mask word.
+pub const WORD: usize = 64;
+
 /// Pixels that are taken together where they are measured and converted.
 pub const BLOCK: usize = 8;
 
@@ -49,17 +52,14 @@ pub trait Pixel: Copy + Debug + PartialEq + Send + Sync + 'static {
     /// Colour times a factor.
     fn faded(self, factor: f32) -> Self;
 
-    /// Resamples the voxels of two rows at those pixels that are set in `bits`, bit n standing for pixel `first + n`, and blends
-    /// them; pixel i lies between the rows' voxels i and i + 1. Those before pixel `end` that are beside them are blended too, unless
-    /// they are done or some are `CLIPPED`: around an open one that is not set there are no voxels. Gives the mask of those that are
-    /// done.
-    fn blend<W: Shorts, const LOWER: bool, const CLIPPED: bool>(
-        pixels: &mut [Self],
-        rows: [&[Self]; 2],
+    /// Resamples the voxels of two rows at those pixels that are set in `touched`, and blends them: a word of pixels, each between the
+    /// rows' voxels of the same number and the one after. Gives the mask of those of them (or some beside them) that are done.
+    fn blend<W: Shorts, const LOWER: bool>(
+        pixels: &mut [Self; WORD],
+        rows: [&[Self; WORD + 1]; 2],
         weights: &Self::Weights,
         limit: Self::Limit,
-        first_and_end: (usize, usize),
-        bits: u64,
+        touched: u64,
     ) -> u64;
 
     /// True where none of the pixels shows anything.
@@ -127,15 +127,14 @@ impl Pixel for Vec4 {
     }
 
     #[inline(always)]
-    fn blend<W: Shorts, const LOWER: bool, const CLIPPED: bool>(
-        pixels: &mut [Self],
-        rows: [&[Self]; 2],
+    fn blend<W: Shorts, const LOWER: bool>(
+        pixels: &mut [Self; WORD],
+        rows: [&[Self; WORD + 1]; 2],
         weights: &Weights,
         limit: f32,
-        (first, _): (usize, usize),
-        bits: u64,
+        touched: u64,
     ) -> u64 {
-        one_by_one::<Self, LOWER>(pixels, rows, weights, limit, first, bits, |_, sample| sample)
+        one_by_one::<Self, LOWER>(pixels, rows, weights, limit, touched, |_, sample| sample)
     }
 
     #[inline(always)]
@@ -207,38 +206,21 @@ impl Pixel for Short {
     }
 
     #[inline(always)]
-    fn blend<W: Shorts, const LOWER: bool, const CLIPPED: bool>(
-        pixels: &mut [Self],
-        rows: [&[Self]; 2],
+    fn blend<W: Shorts, const LOWER: bool>(
+        pixels: &mut [Self; WORD],
+        [upper, lower]: [&[Self; WORD + 1]; 2],
         weights: &ShortWeights,
         limit: i16,
-        (first, end): (usize, usize),
-        mut bits: u64,
+        touched: u64,
     ) -> u64 {
-        let length = (pixels.len() + 1).min(rows[0].len()).min(rows[1].len());
-        let (pixels, [upper, lower]) = (&mut pixels[..length - 1], rows.map(|row| &row[..length]));
-        let mut done = 0;
-        while bits != 0 {
-            let at = bits.trailing_zeros() as usize;
-            let open = bits >> at;
-            bits &= !(0b1111 << at);
-            let i = first.wrapping_add(at);
-            let (Some(pixels), Some(upper), Some(lower)) = (
-                pixels.get_mut(i..).and_then(<[_]>::first_chunk_mut::<FOUR>),
-                upper.get(i..).and_then(<[_]>::first_chunk::<{ FOUR + 1 }>),
-                lower.get(i..).and_then(<[_]>::first_chunk::<{ FOUR + 1 }>),
-            ) else {
-                // Rows and scanlines go on behind their ends.
-                return done;
-            };
-            let rows = [upper, lower];
-            // Those of the next word are blended with it.
-            let opaque = if CLIPPED || at + FOUR > u64::BITS as usize || i + FOUR > end {
-                W::blend::<LOWER, true>(pixels, rows, weights, limit, open)
-            } else {
-                W::blend::<LOWER, false>(pixels, rows, weights, limit, open)
-            };
-            done |= opaque << at;
+        let (mut left, mut done) = (touched, 0);
+        while left != 0 {
+            let at = first_four(left);
+            left &= !(0b1111 << at);
+            let Some(pixels) = pixels[at..].first_chunk_mut::<FOUR>() else { unreachable!() };
+            let rows = [upper, lower].map(|row| row[at..].first_chunk::<{ FOUR + 1 }>());
+            let [Some(upper), Some(lower)] = rows else { unreachable!() };
+            done |= W::blend::<LOWER>(pixels, [upper, lower], weights, limit, touched >> at) << at;
         }
         done
     }
@@ -282,35 +264,31 @@ pub fn nearest(number: f32) -> i16 {
     (number + 12_582_912.0).to_bits() as i16
 }
 
-/// [`Pixel::blend`], a pixel at a time and those alone that are set. `finish` makes what is blended of a sample at pixel i.
+/// Where the first aligned four of bits begins in which any is set; one is.
+#[inline(always)]
+pub fn first_four(bits: u64) -> usize {
+    const LAST: usize = WORD - FOUR;
+    bits.trailing_zeros() as usize & LAST
+}
+
+/// [`Pixel::blend`], a pixel at a time. `finish` makes what is blended of a sample at one of the word's pixels.
 #[inline(always)]
 pub fn one_by_one<P: Pixel, const LOWER: bool>(
-    pixels: &mut [P],
-    [upper, lower]: [&[P]; 2],
+    pixels: &mut [P; WORD],
+    [upper, lower]: [&[P; WORD + 1]; 2],
     weights: &P::Weights,
     limit: P::Limit,
-    first: usize,
-    mut bits: u64,
+    mut touched: u64,
     finish: impl Fn(usize, P) -> P,
 ) -> u64 {
-    // Pixels, and both voxels of each: one length bounds all.
-    let length = pixels.len().min(upper.len() - 1).min(lower.len() - 1);
-    let pixels = &mut pixels[..length];
-    let [upper, upper_next] = [&upper[..length], &upper[1..=length]];
-    let [lower, lower_next] = [&lower[..length], &lower[1..=length]];
     let mut done = 0;
-    while bits != 0 {
-        let at = bits.trailing_zeros() as usize;
-        bits &= bits - 1;
-        let i = first.wrapping_add(at);
-        // Always so.
-        if i >= length {
-            return done;
-        }
-        let lower = if LOWER { [lower[i], lower_next[i]] } else { [P::CLEAR; 2] };
-        let sample = P::resample::<LOWER>(weights, [upper[i], upper_next[i]], lower);
-        let pixel = pixels[i].over(finish(i, sample));
-        pixels[i] = pixel;
+    while touched != 0 {
+        let at = touched.trailing_zeros() as usize % WORD;
+        touched &= touched - 1;
+        let lower = if LOWER { [lower[at], lower[at + 1]] } else { [P::CLEAR; 2] };
+        let sample = P::resample::<LOWER>(weights, [upper[at], upper[at + 1]], lower);
+        let pixel = pixels[at].over(finish(at, sample));
+        pixels[at] = pixel;
         done |= u64::from(pixel.is_opaque(limit)) << at;
     }
     done

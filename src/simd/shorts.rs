@@ -4,6 +4,7 @@
 //! pixels, where it held two of 32 bits, and all of a step is one instruction for the four. The steps are told twice, as
 //! those of [`wide`](super::wide) are: plainly, and in AVX2's own terms, with the same bits.
 
+use super::masks::Masks;
 use super::wide::Portable;
 
 /// 1.
@@ -28,23 +29,21 @@ pub struct ShortWeights {
 }
 
 /// A way to take four pixels through a step. Implementations are `#[inline(always)]`.
-pub trait Shorts {
+pub trait Shorts: Masks {
     /// Resamples the five voxels around four pixels of the `upper` and, if it is asked for, of the `lower` scanline, and blends what
-    /// comes of it behind them. Pixels that are more opaque than `limit` stay as they are, and where it is `MASKED` those that are
-    /// not set in `open`. Gives the mask of those that are more opaque than `limit` then.
-    fn blend<const LOWER: bool, const MASKED: bool>(
+    /// comes of it behind those pixels that are set in the lowest bits of `touched`. Gives the mask of those that are more opaque than
+    /// `limit` then.
+    fn blend<const LOWER: bool>(
         pixels: &mut [Short; FOUR],
         rows: [&[Short; FOUR + 1]; 2],
         weights: &ShortWeights,
         limit: i16,
-        open: u64,
+        touched: u64,
     ) -> u64;
 
-    /// Premultiplied colours and opacities, lit.
-    fn shade(entries: &[Short; FOUR], lights: &[ShortLight; FOUR]) -> [Short; FOUR];
-
-    /// One of them.
-    fn shade_one(entry: Short, light: ShortLight) -> Short;
+    /// Lights premultiplied colours and opacities, of which there is one for each of the lowest bits set in `marked`, and leaves them
+    /// where those bits are; elsewhere is nothing.
+    fn shade(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR];
 }
 
 /// The product of two fractions.
@@ -80,6 +79,18 @@ impl Short {
         if LOWER { above.plus(lower[0].times(weights.lower[0]).plus(lower[1].times(weights.lower[1]))) } else { above }
     }
 
+    /// Lit, at most as bright as it is opaque.
+    #[inline(always)]
+    pub fn lit(self, [factor, addend]: ShortLight) -> Self {
+        let mut lit = self;
+        let opacity = self.0[3];
+        for component in &mut lit.0[..3] {
+            let half = times(*component, factor).saturating_add(times(opacity, addend));
+            *component = half.saturating_add(half).min(opacity);
+        }
+        lit
+    }
+
     /// A sample behind it.
     #[inline(always)]
     pub fn over(self, sample: Self) -> Self {
@@ -89,16 +100,16 @@ impl Short {
 
 impl Shorts for Portable {
     #[inline(always)]
-    fn blend<const LOWER: bool, const MASKED: bool>(
+    fn blend<const LOWER: bool>(
         pixels: &mut [Short; FOUR],
         [upper, lower]: [&[Short; FOUR + 1]; 2],
         weights: &ShortWeights,
         limit: i16,
-        open: u64,
+        touched: u64,
     ) -> u64 {
         let mut opaque = 0;
         for (n, pixel) in pixels.iter_mut().enumerate() {
-            if pixel.0[3] <= limit && (!MASKED || open >> n & 1 == 1) {
+            if touched >> n & 1 == 1 {
                 let sample = Short::resampled::<LOWER>(weights, [upper[n], upper[n + 1]], [lower[n], lower[n + 1]]);
                 *pixel = pixel.over(sample);
             }
@@ -108,23 +119,16 @@ impl Shorts for Portable {
     }
 
     #[inline(always)]
-    fn shade(entries: &[Short; FOUR], lights: &[ShortLight; FOUR]) -> [Short; FOUR] {
-        let mut shaded = *entries;
-        for (entry, light) in shaded.iter_mut().zip(lights) {
-            *entry = Self::shade_one(*entry, *light);
+    fn shade(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR] {
+        let mut shaded = [Short::CLEAR; FOUR];
+        let mut next = 0;
+        for (n, shaded) in shaded.iter_mut().enumerate() {
+            if marked >> n & 1 == 1 {
+                *shaded = entries[next].lit(lights[next]);
+                next += 1;
+            }
         }
         shaded
-    }
-
-    #[inline(always)]
-    fn shade_one(Short(entry): Short, [factor, addend]: ShortLight) -> Short {
-        let opacity = entry[3];
-        let mut shaded = entry;
-        for component in &mut shaded[..3] {
-            let half = times(*component, factor).saturating_add(times(opacity, addend));
-            *component = half.saturating_add(half).min(opacity);
-        }
-        Short(shaded)
     }
 }
 
@@ -134,6 +138,34 @@ mod avx2 {
 
     use super::super::wide::Avx2;
     use super::*;
+
+    /// What four bits tell of the lanes of four pixels.
+    #[repr(C, align(64))]
+    struct Lanes {
+        /// All of each lane that is set.
+        set: [u64; FOUR],
+        /// From which lane, told by its 32-bit halves, one after the other comes to each that is set.
+        spread: [u32; 2 * FOUR],
+    }
+
+    static LANES: [Lanes; 16] = {
+        let mut lanes = [const { Lanes { set: [0; FOUR], spread: [0; 2 * FOUR] } }; 16];
+        let mut bits = 0;
+        while bits < 16 {
+            let (mut n, mut next) = (0, 0);
+            while n < FOUR {
+                if bits >> n & 1 == 1 {
+                    lanes[bits].set[n] = u64::MAX;
+                    lanes[bits].spread[2 * n] = 2 * next;
+                    lanes[bits].spread[2 * n + 1] = 2 * next + 1;
+                    next += 1;
+                }
+                n += 1;
+            }
+            bits += 1;
+        }
+        lanes
+    };
 
     // No closures below: they are functions of their own, which are compiled without AVX2.
 
@@ -149,12 +181,12 @@ mod avx2 {
 
     impl Shorts for Avx2 {
         #[inline(always)]
-        fn blend<const LOWER: bool, const MASKED: bool>(
+        fn blend<const LOWER: bool>(
             pixels: &mut [Short; FOUR],
             [upper, lower]: [&[Short; FOUR + 1]; 2],
             weights: &ShortWeights,
             limit: i16,
-            open: u64,
+            touched: u64,
         ) -> u64 {
             // SAFETY: whoever takes this way has found AVX2. Four voxels are read from each row's first and second on, and four
             // pixels are read and written.
@@ -173,30 +205,26 @@ mod avx2 {
                     );
                     sample = _mm256_adds_epi16(sample, _mm256_adds_epi16(before, after));
                 }
-                let limit = _mm256_set1_epi16(limit);
                 let front = _mm256_loadu_si256(pixels.as_ptr().cast());
-                let opacity = opacities(front);
-                let through = _mm256_sub_epi16(_mm256_set1_epi16(UNIT), opacity);
-                let through = _mm256_andnot_si256(_mm256_cmpgt_epi16(opacity, limit), through);
-                let mut behind = _mm256_mulhrs_epi16(sample, through);
-                if MASKED {
-                    let bit_of_each = _mm256_setr_epi64x(1, 2, 4, 8);
-                    let bits = _mm256_and_si256(_mm256_set1_epi64x(open as i64), bit_of_each);
-                    behind = _mm256_and_si256(behind, _mm256_cmpeq_epi64(bits, bit_of_each));
-                }
+                let through = _mm256_sub_epi16(_mm256_set1_epi16(UNIT), opacities(front));
+                let lanes = _mm256_loadu_si256(LANES[touched as usize % 16].set.as_ptr().cast());
+                let behind = _mm256_and_si256(_mm256_mulhrs_epi16(sample, through), lanes);
                 let blended = _mm256_adds_epi16(front, behind);
                 _mm256_storeu_si256(pixels.as_mut_ptr().cast(), blended);
                 // The opacity is the upper end of 64 bits.
-                _mm256_movemask_pd(_mm256_castsi256_pd(_mm256_cmpgt_epi16(blended, limit))) as u64
+                let opaque = _mm256_cmpgt_epi16(blended, _mm256_set1_epi16(limit));
+                _mm256_movemask_pd(_mm256_castsi256_pd(opaque)) as u64
             }
         }
 
         #[inline(always)]
-        fn shade(entries: &[Short; FOUR], lights: &[ShortLight; FOUR]) -> [Short; FOUR] {
-            // SAFETY: whoever takes this way has found AVX2. Four entries are read and written, and four lights of half the size.
+        fn shade(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR] {
+            // SAFETY: whoever takes this way has found AVX2. Tables have an entry for every four bits.
             unsafe {
-                let entries = _mm256_loadu_si256(entries.as_ptr().cast());
-                let lights = _mm256_broadcastsi128_si256(_mm_loadu_si128(lights.as_ptr().cast()));
+                let [a, b, c, d]: [i64; FOUR] = bytemuck::cast(entries);
+                let entries = _mm256_setr_epi64x(a, b, c, d);
+                let [a, b, c, d]: [i32; FOUR] = bytemuck::cast(lights);
+                let lights = _mm256_broadcastsi128_si256(_mm_setr_epi32(a, b, c, d));
                 let factor_of_each = _mm256_setr_epi8(
                     0, 1, 0, 1, 0, 1, -1, -1, 4, 5, 4, 5, 4, 5, -1, -1, 8, 9, 8, 9, 8, 9, -1, -1, 12, 13, 12, 13, 12,
                     13, -1, -1,
@@ -211,25 +239,13 @@ mod avx2 {
                 let half = _mm256_adds_epi16(factored, added);
                 let lit = _mm256_min_epi16(_mm256_adds_epi16(half, half), opacity);
                 let shaded = _mm256_blend_epi16::<0b1000_1000>(lit, opacity);
+                let lanes = &LANES[marked as usize % 16];
+                let spread = _mm256_loadu_si256(lanes.spread.as_ptr().cast());
+                let set = _mm256_loadu_si256(lanes.set.as_ptr().cast());
                 let mut out = [Short::CLEAR; FOUR];
-                _mm256_storeu_si256(out.as_mut_ptr().cast(), shaded);
+                let spread = _mm256_and_si256(_mm256_permutevar8x32_epi32(shaded, spread), set);
+                _mm256_storeu_si256(out.as_mut_ptr().cast(), spread);
                 out
-            }
-        }
-
-        #[inline(always)]
-        fn shade_one(entry: Short, light: ShortLight) -> Short {
-            // SAFETY: whoever takes this way has found AVX2.
-            unsafe {
-                let entry = _mm_cvtsi64_si128(bytemuck::cast(entry));
-                let light = _mm_cvtsi32_si128(bytemuck::cast(light));
-                let factor = _mm_shufflelo_epi16::<0>(light);
-                let addend = _mm_shufflelo_epi16::<0b01_01_01_01>(light);
-                let opacity = _mm_shufflelo_epi16::<0b11_11_11_11>(entry);
-                let half = _mm_adds_epi16(_mm_mulhrs_epi16(entry, factor), _mm_mulhrs_epi16(opacity, addend));
-                let lit = _mm_min_epi16(_mm_adds_epi16(half, half), opacity);
-                let shaded = _mm_blend_epi16::<0b1000>(lit, opacity);
-                bytemuck::cast(_mm_cvtsi128_si64(shaded))
             }
         }
     }
@@ -248,28 +264,21 @@ mod tests {
         rows: [[Short; FOUR + 1]; 2],
         weights: ShortWeights,
         limit: i16,
-        open: u64,
+        touched: u64,
         lights: [ShortLight; FOUR],
     }
 
     /// What each step makes of it.
     fn results<W: Shorts>(steps: &Steps) -> Vec<(Vec<Short>, u64)> {
-        let Steps { pixels, rows: [upper, lower], weights, limit, open, lights } = steps;
+        let Steps { pixels, rows: [upper, lower], weights, limit, touched, lights } = steps;
         let rows = [upper, lower];
         let blend = |by: fn(&mut [Short; FOUR], _, &ShortWeights, i16, u64) -> u64| {
             let mut pixels = *pixels;
-            let done = by(&mut pixels, rows, weights, *limit, *open);
+            let done = by(&mut pixels, rows, weights, *limit, *touched);
             (pixels.to_vec(), done)
         };
-        let ones = upper.iter().zip(lights).map(|(entry, light)| W::shade_one(*entry, *light));
-        vec![
-            blend(W::blend::<true, true>),
-            blend(W::blend::<true, false>),
-            blend(W::blend::<false, true>),
-            blend(W::blend::<false, false>),
-            (W::shade(pixels, lights).to_vec(), 0),
-            (ones.collect(), 0),
-        ]
+        let shaded = W::shade(*pixels, *lights, *touched).to_vec();
+        vec![blend(W::blend::<true>), blend(W::blend::<false>), (shaded, 0)]
     }
 
     struct Both<'a>(&'a Steps);
@@ -294,11 +303,11 @@ mod tests {
     prop_compose! {
         fn steps()(
             pixels in prop::array::uniform4(pixel()), upper in prop::array::uniform5(pixel()), lower in prop::array::uniform5(pixel()),
-            weights in prop::array::uniform4(0..=UNIT), limit in -1..UNIT, open: u64,
+            weights in prop::array::uniform4(0..=UNIT), limit in -1..UNIT, touched: u64,
             lights in prop::array::uniform4(prop::array::uniform2(0..=UNIT)),
         ) -> Steps {
             let weights = ShortWeights { upper: [weights[0], weights[1]], lower: [weights[2], weights[3]] };
-            Steps { pixels, rows: [upper, lower], weights, limit, open, lights }
+            Steps { pixels, rows: [upper, lower], weights, limit, touched, lights }
         }
     }
 
@@ -315,7 +324,7 @@ mod tests {
             let unit = f32::from(UNIT);
             let opacity = entry.0[3];
             entry.0 = entry.0.map(|component| component.min(opacity));
-            let Short(shaded) = Portable::shade_one(entry, light);
+            let Short(shaded) = entry.lit(light);
             prop_assert_eq!(shaded[3], opacity);
             let [factor, addend] = light.map(|number| 2.0 * f32::from(number) / unit);
             for (component, lit) in entry.0.into_iter().zip(shaded).take(3) {
@@ -324,13 +333,25 @@ mod tests {
             }
         }
 
-        /// In floating point, to a few units; what is done stays as it is.
+        /// One after the other.
+        #[test]
+        fn shaded_voxels_come_to_where_they_are_marked(steps in steps()) {
+            let mut next = 0;
+            let shaded = Portable::shade(steps.pixels, steps.lights, steps.touched);
+            for (n, shaded) in shaded.into_iter().enumerate() {
+                let is_marked = steps.touched >> n & 1 == 1;
+                prop_assert_eq!(shaded, if is_marked { steps.pixels[next].lit(steps.lights[next]) } else { Short::CLEAR });
+                next += usize::from(is_marked);
+            }
+        }
+
+        /// In floating point, to a few units; what is not touched stays as it is.
         #[test]
         fn blending_is_over(steps in steps()) {
-            let Steps { pixels, rows: [upper, lower], weights, limit, .. } = &steps;
+            let Steps { pixels, rows: [upper, lower], weights, limit, touched, .. } = &steps;
             let unit = f32::from(UNIT);
             let mut blended = *pixels;
-            let done = Portable::blend::<true, false>(&mut blended, [upper, lower], weights, *limit, 0);
+            let done = Portable::blend::<true>(&mut blended, [upper, lower], weights, *limit, *touched);
             for n in 0..FOUR {
                 let before = pixels[n].0;
                 prop_assert_eq!(done >> n & 1 == 1, blended[n].0[3] > *limit);
@@ -339,7 +360,7 @@ mod tests {
                         (lower[n + 1], weights.lower[1])];
                     let sample: f32 = around.iter().map(|(voxel, weight)| f32::from(voxel.0[c]) * f32::from(*weight) / unit).sum();
                     let behind = sample.min(unit) * (unit - f32::from(before[3])) / unit;
-                    let expected = if before[3] > *limit { before[c].into() } else { (f32::from(before[c]) + behind).min(unit) };
+                    let expected = if touched >> n & 1 == 0 { before[c].into() } else { (f32::from(before[c]) + behind).min(unit) };
                     prop_assert!((f32::from(blended[n].0[c]) - expected).abs() <= 5.0, "{} {}", blended[n].0[c], expected);
                 }
             }

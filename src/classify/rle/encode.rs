@@ -6,10 +6,9 @@
 //! pass: walked along x, the next voxel of a column follows the one before, so that each column only
 //! needs to know its next place. Planes are independent and spread over the pool.
 
-use bytemuck::zeroed_vec;
 use rayon::prelude::*;
 
-use super::{Plane, RunLengthVolume, Voxel};
+use super::{MORE, Plane, RunLengthVolume, Voxel};
 use crate::classify::marks::{OccupiedWords, VisibleCodes, WORD, turn, words};
 use crate::classify::tables::CodeTables;
 use crate::classify::transfer::TransferFunction;
@@ -85,17 +84,17 @@ impl<T: Code> Kernel for EncodePlane<'_, T> {
     #[inline(always)]
     fn run(self) -> (Plane, Plane) {
         let [nx, ny, _] = self.encoder.scanlines.dims();
-        let mut marked = vec![0; words(nx) * ny];
-        self.mark(&mut marked);
-        let factors = self.encoder.transfer.map(|transfer| self.apply_gradient_opacity(transfer, &mut marked));
-        let mut turned = vec![0; words(ny) * nx];
-        turn(&marked, [nx, ny], &mut turned);
-        let mut along_x = Plane::of_marks(&marked, words(nx));
-        let mut along_y = Plane::of_marks(&turned, words(ny));
-        self.deal(&marked, &mut along_x, &mut along_y);
+        let (mut marked, mut turned) = (vec![0; words(nx) * ny + MORE], vec![0; words(ny) * nx + MORE]);
+        let (rows, columns) = (&mut marked[..words(nx) * ny], &mut turned[..words(ny) * nx]);
+        self.mark(rows);
+        let factors = self.encoder.transfer.map(|transfer| self.apply_gradient_opacity(transfer, rows));
+        turn(rows, [nx, ny], columns);
+        let mut along_x = Plane::of_marks(marked, words(nx));
+        let mut along_y = Plane::of_marks(turned, words(ny));
+        self.deal(&mut along_x, &mut along_y);
         if let Some(factors) = factors {
-            along_x.factors = gathered(&marked, words(nx), |y, x| factors[y * nx + x]);
-            along_y.factors = gathered(&turned, words(ny), |x, y| factors[y * nx + x]);
+            along_x.gather(|y, x| factors[y * nx + x]);
+            along_y.gather(|x, y| factors[y * nx + x]);
         }
         (along_x, along_y)
     }
@@ -147,14 +146,12 @@ impl<T: Code> EncodePlane<'_, T> {
 
     /// Deals out the marked voxels.
     #[inline(always)]
-    fn deal(&self, marked: &[u64], along_x: &mut Plane, along_y: &mut Plane) {
+    fn deal(&self, along_x: &mut Plane, along_y: &mut Plane) {
         let Encoder { scanlines, gradients, .. } = self.encoder;
-        let [nx, ny, _] = scanlines.dims();
-        let count = along_x.rows[ny][1] as usize;
-        (along_x.voxels, along_y.voxels) = (zeroed_vec(count), zeroed_vec(count));
+        let [_, ny, _] = scanlines.dims();
         let mut next = 0;
-        let mut places: Vec<u32> = along_y.rows.iter().map(|&[_, voxel]| voxel).collect();
-        for (y, marked) in marked.chunks_exact(words(nx)).enumerate() {
+        let mut places = along_y.rows.clone();
+        for (y, marked) in along_x.marks[..along_x.words * ny].chunks_exact(along_x.words).enumerate() {
             let row = scanlines.row(y, self.z);
             for block in Blocks::new(marked) {
                 let normals = normals(&gradients.block::<BLOCK>(y, self.z, block.first));
@@ -171,15 +168,17 @@ impl<T: Code> EncodePlane<'_, T> {
     }
 }
 
-/// The factors of the marked voxels, by row and position in it; rows have so many words.
-fn gathered(marked: &[u64], words: usize, factor: impl Fn(usize, usize) -> u8) -> Vec<u8> {
-    let mut factors = Vec::with_capacity(marked.iter().map(|word| word.count_ones() as usize).sum());
-    for (row, marked) in marked.chunks_exact(words).enumerate() {
-        for block in Blocks::new(marked) {
-            factors.extend(block.voxels().map(|n| factor(row, block.first + n)));
+impl Plane {
+    /// Fills in the factors of the marked voxels, by row and position in it.
+    fn gather(&mut self, factor: impl Fn(usize, usize) -> u8) {
+        let mut factors = Vec::with_capacity(self.count());
+        for (row, marked) in self.row_marks().chunks_exact(self.words).enumerate() {
+            for block in Blocks::new(marked) {
+                factors.extend(block.voxels().map(|n| factor(row, block.first + n)));
+            }
         }
+        self.factors = factors;
     }
-    factors
 }
 
 /// The blocks of a scanline in which voxels are marked.
@@ -319,15 +318,18 @@ mod tests {
             for (j, k) in (0..dims[2]).flat_map(|k| (0..dims[1]).map(move |j| (j, k))) {
                 let scanline = of_axis.scanline(j, k);
                 let mut found = vec![None; dims[0]];
-                let mut stored = (0..).zip(scanline.voxels);
-                for run in scanline.runs {
-                    let start = usize::from(run.start);
-                    for found in &mut found[start..start + usize::from(run.length)] {
-                        let (at, voxel) = stored.next().expect("a voxel for each of a run");
-                        *found = Some((*voxel, *scanline.factors.get::<usize>(at).unwrap_or(&255)));
+                let mut stored = (0..).zip(scanline.voxels());
+                for (i, found) in found.iter_mut().enumerate() {
+                    if scanline.marks()[i / WORD] >> (i % WORD) & 1 == 1 {
+                        let (at, voxel) = stored.next().expect("a voxel for each mark");
+                        *found = Some((*voxel, *scanline.factors().get::<usize>(at).unwrap_or(&255)));
                     }
                 }
-                assert!(stored.next().is_none(), "voxels that are in no run");
+                assert!(stored.next().is_none(), "voxels that are not marked");
+                let past_end = scanline.marks().len() * WORD - dims[0];
+                assert!(
+                    scanline.marks()[dims[0] / WORD..].iter().all(|word| word.leading_zeros() as usize >= past_end)
+                );
                 let expected = |i: usize| {
                     let mut at = [0; 3];
                     for (axis, index) in axes.into_iter().zip([i, j, k]) {
@@ -338,7 +340,7 @@ mod tests {
                 for (i, found) in found.iter().enumerate() {
                     assert_eq!(*found, expected(i), "{i} {j} {k} along {axis} of {dims:?}");
                 }
-                filled += usize::from(!scanline.voxels.is_empty());
+                filled += usize::from(!scanline.voxels().is_empty());
             }
         }
         let scanlines = prepared.volume().dims().iter().product::<usize>();

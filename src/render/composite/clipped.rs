@@ -13,8 +13,6 @@ pub struct ClippedPixels {
     first: usize,
     /// By scanline how far from the front it is known which rays have ended.
     ended: Vec<Option<f32>>,
-    /// By scanline the words that have such rays, a bit each; the last one is for all that follow.
-    with_ended: Vec<u64>,
     clipping: Clipping,
     /// Where the first of the slices is, from the front.
     front: f32,
@@ -38,8 +36,6 @@ impl ClippedPixels {
         self.first = band.first;
         self.ended.clear();
         self.ended.resize(band.height(), None);
-        self.with_ended.clear();
-        self.with_ended.resize(band.height(), 0);
     }
 
     /// For some scanlines between two slices in the order of the walk; false where nothing of them is left.
@@ -80,7 +76,7 @@ impl ClippedPixels {
         self.cut.resize(open.len(), 0);
         let by_shapes = self.clipping.by_shapes();
         let shapes = if by_shapes { self.shapes(factorization, v, slices) } else { Default::default() };
-        let (mut any, mut any_cut, mut with_ended) = (0, 0, 0);
+        let (mut any, mut any_cut) = (0, 0);
         for (word, open) in open.iter_mut().enumerate() {
             let mut left = *open;
             let mut cut = 0;
@@ -88,7 +84,6 @@ impl ClippedPixels {
                 if let Some(limits) = limits {
                     let seen = limits.seen(v, word, positions);
                     *open &= !seen.ended;
-                    with_ended |= u64::from(seen.ended != 0) << word.min(WORD - 1);
                     left &= seen.some;
                     cut = !seen.whole;
                 }
@@ -107,7 +102,6 @@ impl ClippedPixels {
             any |= left;
             any_cut |= left & cut;
         }
-        self.with_ended[v - self.first] |= with_ended;
         (self.have_ended, self.cuts_any) = (false, any_cut != 0);
         any != 0
     }
@@ -119,14 +113,6 @@ impl ClippedPixels {
         self.holes.clear();
         factorization.hollow_pixels(v, slices, holes, |pixels| self.holes.push(pixels));
         if by_planes { factorization.clipped_pixels(v, slices) } else { [0..usize::MAX, 0..usize::MAX] }
-    }
-
-    /// True where all pixels of `word` of scanline `v`, the one entered, are open but for those that are opaque; of which `open` are not, or their
-    /// rays have ended.
-    #[inline(always)]
-    pub fn are_opaque_or_open(&self, v: usize, word: usize, open: u64) -> bool {
-        let any_ended = self.with_ended[v - self.first] >> word.min(WORD - 1) & 1 == 1;
-        !any_ended && (!self.is_any() || self.open[word] == open)
     }
 
     /// What is left, by word.
@@ -141,10 +127,12 @@ impl ClippedPixels {
         self.cuts_any
     }
 
-    /// Open pixels of which not all is left, by word.
+    /// Open pixels of which not all is left, 64 from `u` on.
     #[inline(always)]
-    pub fn cut(&self) -> &[u64] {
-        &self.cut
+    pub fn cut_from(&self, u: usize) -> u64 {
+        let (word, shift) = (u / WORD, u % WORD);
+        let next = self.cut.get(word + 1).copied().unwrap_or(0);
+        self.cut[word] >> shift | next << 1 << (WORD - 1 - shift)
     }
 
     /// True where not all is left of pixel `u`.
@@ -156,12 +144,7 @@ impl ClippedPixels {
     /// True where not all is left of one of up to 64 pixels from `u` on.
     #[inline(always)]
     pub fn cuts(&self, u: usize, length: usize) -> bool {
-        let (word, shift) = (u / WORD, u % WORD);
-        let mut bits = self.cut[word] >> shift;
-        if shift > 0 {
-            bits |= self.cut.get(word + 1).copied().unwrap_or(0) << (WORD - shift);
-        }
-        bits & below(length, 0) != 0
+        self.cut_from(u) & below(length, 0) != 0
     }
 }
 

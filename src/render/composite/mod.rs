@@ -38,14 +38,12 @@ use rayon::prelude::*;
 use super::RenderError;
 use super::intermediate::{Band, BandBuffer, IntermediateImage, Strip};
 use super::pixel::Pixel;
+pub(super) use super::pixel::WORD;
 use super::simd::shorts::Shorts;
 #[cfg(target_arch = "x86_64")]
 use super::simd::wide::Avx2;
 use super::simd::wide::Portable;
 use super::simd::{self, Kernel};
-
-/// Pixels of a mask word.
-pub(super) const WORD: usize = 64;
 
 /// Scanlines of a band: enough to share voxel scanlines between pixel rows, few enough that a
 /// band's pixels stay in the second-level cache and bands spread evenly over threads.
@@ -122,7 +120,7 @@ impl<C: Composite> Job<'_, '_, C> {
 
 /// `length` bits from bit `start` on.
 #[inline(always)]
-fn run_mask(start: usize, length: usize) -> u64 {
+pub(super) fn run_mask(start: usize, length: usize) -> u64 {
     (u64::MAX >> (WORD - length)) << start
 }
 
@@ -135,7 +133,7 @@ fn below(limit: usize, at: usize) -> u64 {
 
 /// The first run of set bits in a word that is not zero: its start and its length.
 #[inline(always)]
-fn first_run(bits: u64) -> (usize, usize) {
+pub(super) fn first_run(bits: u64) -> (usize, usize) {
     let start = bits.trailing_zeros() as usize;
     (start, (!(bits >> start)).trailing_zeros().min((WORD - start) as u32) as usize)
 }

@@ -17,7 +17,6 @@ use crate::render::factorization::{Factorization, Holes, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
 use crate::render::material::{Shader, SliceShader};
 use crate::render::pixel::Pixel;
-use crate::render::simd::wide::Portable;
 use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{Cancel, RenderError};
 
@@ -90,7 +89,7 @@ impl<L: Lattice, V: VoxelSource, M: Shader> Voxels<'_, L, V, M> {
     fn color(&self, at: [usize; 3]) -> <M::Slice as SliceShader>::Pixel {
         let material = self.material.slice(self.factorization.share(at[2]));
         match self.source.voxel(at).filter(|_| at[0] < self.factorization.dims[0]) {
-            Some((voxel, factor)) => material.voxel::<Portable>(voxel, factor, at),
+            Some((voxel, factor)) => material.voxel(voxel, factor, at),
             None => Pixel::CLEAR,
         }
     }

@@ -1,90 +1,84 @@
 //! Row buffers: the two voxel scanlines that a row of pixels gathers from, shaded.
 //!
-//! A buffer is zero wherever no voxel was shaded into it, so that a pixel reads transparent voxels
-//! without asking. Voxels are shaded when the first pixel needs them, and each only once while
-//! its scanline is in a buffer.
+//! Voxels are shaded by aligned fours when the first pixel needs one of them, and each only once while
+//! its scanline is in a buffer; where none is drawn there are zeros. What was not asked for may be of another scanline.
+
+use std::ops::Range;
 
 use super::samples::BLOCK;
-use super::sources::{ShadedRow, VoxelSource};
+use super::sources::VoxelSource;
 use super::{WORD, run_mask};
 use crate::render::material::SliceShader;
 use crate::render::pixel::Pixel;
+use crate::render::simd::shorts::Shorts;
 
 /// One voxel scanline.
 #[derive(Debug)]
 pub struct Row<P> {
     /// The scanline's j, where one was entered.
     pub j: Option<usize>,
-    /// Premultiplied colour and opacity by voxel; one more than the scanline has, always zero.
+    /// Premultiplied colour and opacity by voxel; a word more than the scanline has.
     pub voxels: Vec<P>,
-    /// Non-transparent voxels (or, until they are classified, those that may be), a bit each.
+    /// A copy, if it was asked for: of drawn voxels and, until they are classified, of those that may be.
     pub marked: Vec<u64>,
-    /// Voxels whose marks are known to be of drawn ones.
-    pub classified: Vec<u64>,
-    /// Voxels to shade.
-    asked: Vec<u64>,
-    /// Voxels that are there.
-    pub shaded: Vec<u64>,
-    empty: bool,
+    /// Voxels whose marks are known to be right.
+    classified: Vec<u64>,
+    /// How many scanlines it has been. Of another nothing is there, and nothing has to be cleared.
+    entered: u64,
+    shaded: Vec<Shaded>,
+}
+
+/// Voxels of a word that are there.
+#[derive(Clone, Copy, Debug)]
+struct Shaded {
+    /// When they were shaded: [`Row::entered`].
+    entered: u64,
+    /// The first bits of aligned fours.
+    fours: u64,
 }
 
 impl<P: Pixel> Row<P> {
     /// For scanlines of `length` voxels.
     pub fn new(length: usize) -> Self {
-        let words = length.div_ceil(WORD) + 1;
+        let words = length.div_ceil(WORD);
         Self {
             j: None,
-            voxels: vec![P::CLEAR; words * WORD],
+            voxels: vec![P::CLEAR; (words + 1) * WORD],
             marked: vec![0; words],
             classified: vec![0; words],
-            asked: vec![0; words],
-            shaded: vec![0; words],
-            empty: true,
+            entered: 0,
+            shaded: vec![Shaded { entered: 0, fours: 0 }; words],
         }
     }
 
-    /// Forgets what was there, for scanline `j`: zeros come back where voxels had been shaded.
-    #[inline(always)]
-    fn make_room(&mut self, j: usize) {
-        for (word, bits) in self.shaded.iter_mut().enumerate() {
-            if *bits != 0 {
-                let (first, end) = (bits.trailing_zeros() as usize, WORD - bits.leading_zeros() as usize);
-                self.voxels[word * WORD + first..word * WORD + end].fill(P::CLEAR);
-                *bits = 0;
-            }
-        }
-        self.j = Some(j);
-    }
-
-    /// Becomes scanline `j`, with nothing shaded yet, unless it is. True where it was another.
+    /// Becomes scanline `j`, with nothing shaded yet, unless it is. Gives whether it was another.
     #[inline(always)]
     pub fn enter(&mut self, j: usize) -> bool {
         let other = self.j != Some(j);
         if other {
-            self.make_room(j);
+            self.j = Some(j);
+            self.entered += 1;
         }
         other
     }
 
-    /// Becomes scanline `j`, marked, with nothing shaded yet.
+    /// The same, with a copy of the marks, none of which is known to be right.
     #[inline(always)]
     pub fn enter_marked<V: VoxelSource>(&mut self, source: V, j: usize, scanline: &V::Scanline) {
-        self.make_room(j);
-        if !self.empty {
-            self.marked.fill(0);
+        if self.enter(j) {
+            let words = self.marked.len();
+            self.marked.copy_from_slice(&source.marks(scanline)[..words]);
             self.classified.fill(0);
-        }
-        self.empty = source.is_empty(scanline);
-        if !self.empty {
-            source.mark(scanline, &mut self.marked);
         }
     }
 
-    /// Takes back the marks of `touched` voxels that are not drawn.
+    /// Takes back the marks of voxels that are not drawn, in every aligned four whose first bit is `asked` for, by word.
     #[inline(always)]
-    pub fn classify<V: VoxelSource>(&mut self, source: V, scanline: &V::Scanline, touched: &[u64]) {
-        for (word, (marked, touched)) in self.marked.iter_mut().zip(touched).enumerate() {
-            let mut asked = *marked & touched & !self.classified[word];
+    pub fn classify<V: VoxelSource>(&mut self, source: V, scanline: &V::Scanline, asked: (&[u64], Range<usize>)) {
+        let (asked, range) = asked;
+        for word in range.start..range.end.min(self.marked.len()) {
+            let marked = &mut self.marked[word];
+            let mut asked = *marked & (asked[word] * 0b1111) & !self.classified[word];
             while asked != 0 {
                 let block = asked.trailing_zeros() as usize / BLOCK;
                 let mask = run_mask(block * BLOCK, BLOCK);
@@ -96,30 +90,40 @@ impl<P: Pixel> Row<P> {
         }
     }
 
-    /// Shades the marked ones of `touched` voxels of slice `k` that are not there yet.
+    /// Shades voxels of a word of slice `k`: every aligned four whose first bit is `asked` for and that is not there yet.
     #[inline(always)]
-    pub fn shade<V: VoxelSource, M: SliceShader<Pixel = P>>(
+    pub fn shade<W: Shorts, V: VoxelSource, M: SliceShader<Pixel = P>>(
         &mut self,
         source: V,
         scanline: &V::Scanline,
-        touched: &[u64],
+        (word, asked): (usize, u64),
         k: usize,
         material: M,
     ) {
-        for ((asked, marked), touched) in self.asked.iter_mut().zip(&self.marked).zip(touched) {
-            *asked = marked & touched;
+        let shaded = &mut self.shaded[word];
+        let there = if shaded.entered == self.entered { shaded.fours } else { 0 };
+        let missing = asked & !there;
+        if missing != 0 {
+            *shaded = Shaded { entered: self.entered, fours: there | missing };
+            let marks = if V::CLASSIFIES { self.marked[word] } else { source.marks(scanline)[word] };
+            let (out, _) = self.voxels.as_chunks_mut();
+            source.shade::<W, M>(
+                scanline,
+                (word, marks),
+                missing,
+                &mut out[word],
+                [self.j.unwrap_or_default(), k],
+                material,
+            );
         }
-        let at = [self.j.unwrap_or_default(), k];
-        let row = ShadedRow { voxels: &mut self.voxels, shaded: &mut self.shaded, at };
-        source.shade(scanline, &self.asked, row, material);
     }
 }
 
 /// The upper and the lower voxel scanline of a row of pixels.
 #[derive(Debug)]
 pub struct RowBuffers<P> {
-    upper: Row<P>,
-    lower: Row<P>,
+    pub upper: Row<P>,
+    pub lower: Row<P>,
 }
 
 impl<P: Pixel> RowBuffers<P> {
@@ -141,27 +145,5 @@ impl<P: Pixel> RowBuffers<P> {
         if self.lower.j == Some(j) {
             std::mem::swap(&mut self.upper, &mut self.lower);
         }
-    }
-
-    /// The upper scanline's buffer. What it holds may be of another scanline until it is [entered](Row::enter).
-    #[inline(always)]
-    pub fn upper(&mut self) -> &mut Row<P> {
-        &mut self.upper
-    }
-
-    /// The lower one's.
-    #[inline(always)]
-    pub fn lower(&mut self) -> &mut Row<P> {
-        &mut self.lower
-    }
-
-    /// The voxels of scanline `j` and, where pixels lie between two scanlines, `j + 1`.
-    #[inline(always)]
-    pub fn voxels(&mut self, j: usize, has_lower: bool) -> [&[P]; 2] {
-        self.upper.enter(j);
-        if has_lower {
-            self.lower.enter(j + 1);
-        }
-        [&self.upper.voxels, &self.lower.voxels]
     }
 }

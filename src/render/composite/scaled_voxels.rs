@@ -25,6 +25,7 @@ use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::material::{Shader, SliceShader};
 use crate::render::pixel::Pixel;
+use crate::render::simd::masks::fours;
 use crate::render::simd::shorts::Shorts;
 use crate::render::slab::opacity_ratio;
 
@@ -41,6 +42,8 @@ pub struct Scratch {
     pixels: Mask,
     clipped: ClippedPixels,
     touched: Mask,
+    /// The first bits of aligned fours of voxels that hold those.
+    asked: Vec<u64>,
     /// Lengths of the band's rays in units of the shortest.
     lengths: Vec<f32>,
 }
@@ -71,6 +74,7 @@ impl VoxelLattice<Vec4> for Scaled {
             pixels: Mask::new(factorization.size[0]),
             clipped: ClippedPixels::default(),
             touched: Mask::new(length),
+            asked: vec![],
             lengths: vec![],
         }
     }
@@ -134,7 +138,7 @@ impl VoxelLattice<Vec4> for Scaled {
                 (asked.max(first)..first + taps).for_each(|j| voxels.source.prefetch(j, ahead));
                 asked = first + taps;
             }
-            scratch.shade(voxels.source, first, k, material);
+            scratch.shade::<W, V, _>(voxels.source, first, k, material);
             let finish = |sample: Vec4, u, length, clipped: &ClippedPixels| {
                 let left = if clipped.is_any() { voxels.left(u, v, k, clipped) } else { None };
                 let of_length = if M::Slice::PAINTED {
@@ -167,10 +171,9 @@ impl Scratch {
         let mut any = false;
         for j in first..first + self.weights.len() {
             let scanline = source.scanline(j, k);
-            any |= !source.is_empty(&scanline);
-            if self.rows[j % count].j != Some(j) {
-                self.rows[j % count].enter_marked(source, j, &scanline);
-            }
+            let row = &mut self.rows[j % count];
+            row.enter_marked(source, j, &scanline);
+            any |= row.marked.iter().any(|&marks| marks != 0);
         }
         any
     }
@@ -214,16 +217,25 @@ impl Scratch {
     fn classify<V: VoxelSource>(&mut self, source: V, first: usize, k: usize) {
         let count = self.rows.len();
         for j in first..first + self.weights.len() {
-            self.rows[j % count].classify(source, &source.scanline(j, k), self.touched.words());
+            self.rows[j % count].classify(source, &source.scanline(j, k), (&self.asked, 0..self.asked.len()));
         }
     }
 
     /// Shades the touched voxels.
     #[inline(always)]
-    fn shade<V: VoxelSource, M: SliceShader<Pixel = Vec4>>(&mut self, source: V, first: usize, k: usize, material: M) {
+    fn shade<W: Shorts, V: VoxelSource, M: SliceShader<Pixel = Vec4>>(
+        &mut self,
+        source: V,
+        first: usize,
+        k: usize,
+        material: M,
+    ) {
         let count = self.rows.len();
         for (j, _) in (first..).zip(&self.weights).filter(|(_, weight)| **weight > 0.0) {
-            self.rows[j % count].shade(source, &source.scanline(j, k), self.touched.words(), k, material);
+            let (row, scanline) = (&mut self.rows[j % count], source.scanline(j, k));
+            for (word, asked) in self.asked.iter().enumerate().filter(|(_, asked)| **asked != 0) {
+                row.shade::<W, V, M>(source, &scanline, (word, *asked), k, material);
+            }
         }
     }
 
@@ -234,6 +246,8 @@ impl Scratch {
         for (u, length) in Runs::new(&self.pixels) {
             self.touched.add(self.columns.under(&(u..u + length)));
         }
+        self.asked.clear();
+        self.asked.extend(self.touched.words().iter().map(|touched| fours(*touched)));
     }
 
     /// Resamples the scanlines from `first` on at the pixels and blends behind what is there.

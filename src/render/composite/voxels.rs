@@ -2,12 +2,12 @@
 //!
 //! For a scanline of a slice:
 //!
-//! 1. *Which pixels?* A pixel needs work if it touches a voxel of a run and is not opaque itself. That is a shift and an
-//!    intersection of machine words for each run of the two voxel scanlines that the pixels gather from (`touched.rs`);
+//! 1. *Which pixels?* A pixel needs work if it touches a drawn voxel and is not opaque itself. The runs of the two voxel scanlines
+//!    that the pixels gather from are machine words, as the opaque pixels are, and are intersected with them (`touched.rs`);
 //!    scanlines without a run are not even looked at.
-//! 2. *Shade* the voxels those pixels touch into a row buffer, each once: the lower scanline of
+//! 2. *Shade* the voxels those pixels touch into a row buffer, by aligned fours and each once: the lower scanline of
 //!    one pixel row is the upper one of the next (`rows.rs`).
-//! 3. *Resample and blend*: four weights that are constant over the slice, then "over", and an
+//! 3. *Resample and blend*, by aligned fours again: four weights that are constant over the slice, then "over", and an
 //!    opaque pixel's bit is cleared.
 
 use super::clipped::ClippedPixels;
@@ -104,7 +104,7 @@ impl<P: Pixel> VoxelLattice<P> for Unit {
     type Scratch = (RowBuffers<P>, Touched, ClippedPixels);
 
     fn scratch(factorization: &Factorization) -> Self::Scratch {
-        (RowBuffers::new(factorization.dims[0]), Touched::new(factorization.size[0]), ClippedPixels::default())
+        (RowBuffers::new(factorization.dims[0]), Touched::new(factorization.dims[0]), ClippedPixels::default())
     }
 
     #[inline(always)]
@@ -181,33 +181,53 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
                 _ => self.source.scanline(j, k),
             };
             let lower = if has_lower { Some(self.source.scanline(j + 1, k)) } else { None };
-            let lies = Open { words: &[], first: first_u, between: fraction_u > 0.0, length: f.dims[0] };
             below = lower.map(|lower| (j + 1, lower));
+            let (above, beneath) = (upper, lower.unwrap_or(upper));
+            let marks = (self.source.marks(&above), self.source.marks(&beneath));
+            let lies = Open { words: &[], first: first_u, between: fraction_u > 0.0 };
+            if !touched.find::<W>(marks.0, marks.1, &Open { words: scanline.non_opaque, ..lies }) {
+                continue;
+            }
             let is_clipped = CARE && clipped.is_any();
             if is_clipped {
-                let open = Open { words: scanline.non_opaque, ..lies };
-                let touches = self.source.touches(&upper, &open)
-                    || lower.as_ref().is_some_and(|lower| self.source.touches(lower, &open));
-                if !touches || !clipped.find(f, v, slices, scanline.non_opaque) {
+                let is_left = clipped.find(f, v, slices, scanline.non_opaque);
+                if !is_left || !touched.find::<W>(marks.0, marks.1, &Open { words: clipped.open(), ..lies }) {
                     continue;
                 }
             }
-            let open = Open { words: if is_clipped { clipped.open() } else { scanline.non_opaque }, ..lies };
             rows.go_on(j);
-            self.source.touch::<W, _>(&upper, &open, touched, (rows.upper(), [j, k]), material);
-            if let Some(lower) = &lower {
-                self.source.touch::<W, _>(lower, &open, touched, (rows.lower(), [j + 1, k]), material);
-            }
-            if touched.is_empty() {
-                continue;
+            let RowBuffers { upper, lower } = rows;
+            if V::CLASSIFIES {
+                upper.enter_marked(self.source, j, &above);
+                upper.classify(self.source, &above, touched.asked());
+                if has_lower {
+                    lower.enter_marked(self.source, j + 1, &beneath);
+                    lower.classify(self.source, &beneath, touched.asked());
+                }
+                let beneath = if has_lower { &lower.marked } else { &upper.marked };
+                if !touched.keep(&upper.marked, beneath, lies.between) {
+                    continue;
+                }
+            } else {
+                upper.enter(j);
+                if has_lower {
+                    lower.enter(j + 1);
+                }
             }
             if let Some([ahead, _]) = ahead {
                 self.source.prefetch(j, ahead);
             }
+            let (asked, words) = touched.asked();
+            for word in words {
+                let asked = (word, asked[word]);
+                upper.shade::<W, _, _>(self.source, &above, asked, k, material);
+                if has_lower {
+                    lower.shade::<W, _, _>(self.source, &beneath, asked, k, material);
+                }
+            }
             let cue = cue.map(|cue| cue.scanline(v));
             let at = Place { v, k, cue, clipped };
-            let rows = rows.voxels(j, has_lower);
-            let around = Around { rows, first_u, end: f.dims[0] - usize::from(fraction_u > 0.0), weights };
+            let around = Around { rows: [&upper.voxels, &lower.voxels], first_u, weights };
             if has_lower {
                 self.blend::<W, true, CARE>(&mut scanline, &at, &around, touched, material);
             } else {
@@ -222,38 +242,51 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
         &self,
         scanline: &mut ScanlineMut<'_, P>,
         at: &Place<'_>,
-        around: &Around<'_, P>,
-        touched: &mut Touched,
+        &Around { rows: [upper, lower], first_u, weights }: &Around<'_, P>,
+        touched: &Touched,
         material: M::Slice,
     ) {
         let limit = P::limit(self.opaque);
-        let &Around { rows, first_u, end, weights } = around;
+        let (words, shift) = (&mut scanline.non_opaque[first_u / WORD..], first_u % WORD);
         let pixels = &mut scanline.pixels[first_u..];
-        let non_opaque = &mut *scanline.non_opaque;
-        if CARE {
-            self.blend_with_care::<W, LOWER>((pixels, non_opaque), at, around, touched, material);
-            return;
+        let (touched, range) = touched.words();
+        for word in range {
+            let bits = touched[word];
+            if bits == 0 {
+                continue;
+            }
+            let first = word * WORD;
+            let (Some(pixels), Some(upper), Some(lower)) = (
+                pixels[first..].first_chunk_mut::<WORD>(),
+                upper[first..].first_chunk::<{ WORD + 1 }>(),
+                lower[first..].first_chunk::<{ WORD + 1 }>(),
+            ) else {
+                unreachable!("rows and scanlines go on for a word")
+            };
+            let done = if CARE {
+                let around = ([upper, lower], &weights, limit, first_u + first);
+                self.blend_with_care::<W, LOWER>(pixels, at, around, bits, material)
+            } else {
+                P::blend::<W, LOWER>(pixels, [upper, lower], &weights, limit, bits)
+            };
+            words[word] &= !(done << shift);
+            words[word + 1] &= !(done >> 1 >> (WORD - 1 - shift));
         }
-        touched.take(|word, bits| {
-            let first = (word * WORD).wrapping_sub(first_u);
-            non_opaque[word] &= !P::blend::<W, LOWER, false>(pixels, rows, &weights, limit, (first, end), bits);
-        });
     }
 
-    /// The same where more is to be done than to blend, or pixels that are not opaque are not all open.
+    /// A word's where more may be to be done than to blend.
     #[inline(always)]
     fn blend_with_care<W: Shorts, const LOWER: bool>(
         &self,
-        (pixels, non_opaque): (&mut [P], &mut [u64]),
+        pixels: &mut [P; WORD],
         &Place { v, k, cue, clipped }: &Place<'_>,
-        &Around { rows, first_u, end, weights }: &Around<'_, P>,
-        touched: &mut Touched,
+        (rows, weights, limit, first): ([&[P; WORD + 1]; 2], &P::Weights, P::Limit, usize),
+        touched: u64,
         material: M::Slice,
-    ) {
-        let limit = P::limit(self.opaque);
+    ) -> u64 {
         let is_cut = clipped.is_any() && clipped.cuts_any();
-        let finish = |i: usize, sample: P| {
-            let (u, mut sample) = (i + first_u, material.resampled(sample, 1.0));
+        let finish = |n: usize, sample: P| {
+            let (u, mut sample) = (first + n, material.resampled(sample, 1.0));
             if is_cut {
                 sample = cut(sample, self.left(u, v, k, clipped));
             }
@@ -262,22 +295,13 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
                 None => sample,
             }
         };
-        touched.take(|word, bits| {
-            let first = (word * WORD).wrapping_sub(first_u);
-            let cut = if is_cut { clipped.cut()[word] } else { 0 };
-            let by_itself = bits & if cue.is_some() || M::Slice::PAINTED { u64::MAX } else { cut };
-            let together = bits & !by_itself;
-            let mut done = 0;
-            if bits == together && clipped.are_opaque_or_open(v, word, non_opaque[word]) {
-                done |= P::blend::<W, LOWER, false>(pixels, rows, &weights, limit, (first, end), together);
-            } else if together != 0 {
-                done |= P::blend::<W, LOWER, true>(pixels, rows, &weights, limit, (first, end), together);
-            }
-            if by_itself != 0 {
-                done |= one_by_one::<P, LOWER>(pixels, rows, &weights, limit, first, by_itself, finish);
-            }
-            non_opaque[word] &= !done;
-        });
+        let cut = if is_cut { clipped.cut_from(first) } else { 0 };
+        let by_itself = touched & if cue.is_some() || M::Slice::PAINTED { u64::MAX } else { cut };
+        let mut done = P::blend::<W, LOWER>(pixels, rows, weights, limit, touched & !by_itself);
+        if by_itself != 0 {
+            done |= one_by_one::<P, LOWER>(pixels, rows, weights, limit, by_itself, finish);
+        }
+        done
     }
 }
 
@@ -320,7 +344,5 @@ struct Around<'a, P: Pixel> {
     rows: [&'a [P]; 2],
     /// The pixel on voxel 0 or after it.
     first_u: usize,
-    /// How many pixels from that one on lie on the slice.
-    end: usize,
     weights: P::Weights,
 }

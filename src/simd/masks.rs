@@ -1,0 +1,214 @@
+//! Masks, a bit for each voxel or pixel of a scanline, four words at once.
+
+use super::wide::Portable;
+
+/// Words that are taken together.
+pub const FOUR: usize = 4;
+
+/// Open pixels of a scanline over one of voxels.
+#[derive(Clone, Copy, Debug)]
+pub struct Over {
+    /// Bit of the first word of pixels that is the pixel on a word's first voxel, or after it: 0..64.
+    pub shift: u32,
+    /// True where pixels are between voxels: each touches the one before it and the one after.
+    pub between: bool,
+}
+
+/// Pixels to work on, a bit for each by the voxel that it lies on or after, in words of which there are a multiple of [`FOUR`].
+#[derive(Debug)]
+pub struct Found<'a> {
+    /// Those that were found.
+    pub touched: &'a mut [u64],
+    /// The first bits of aligned fours of voxels, which hold all that the pixels touch.
+    pub asked: &'a mut [u64],
+}
+
+/// A way to intersect masks. Implementations are `#[inline(always)]`.
+pub trait Masks {
+    /// Finds the pixels that are `open` and `within` what they may be in, and touch a voxel of either scanline. Gives the first word and past
+    /// the last in which there are any; where there is none, the latter is 0. Scanlines and open pixels have a word more than there are.
+    fn touch(scanlines: [&[u64]; 2], open: &[u64], over: Over, within: &[u64], found: Found<'_>) -> [usize; 2];
+}
+
+/// The last bit of every four.
+const LAST: u64 = (u64::MAX / 0b1111) << 3;
+
+/// The first bit of every aligned four of bits in which any is set.
+#[inline(always)]
+pub fn fours(bits: u64) -> u64 {
+    let pairs = bits | bits >> 1;
+    (pairs | pairs >> 2) & (LAST >> 3)
+}
+
+impl Masks for Portable {
+    #[inline(always)]
+    fn touch(
+        [upper, lower]: [&[u64]; 2],
+        open: &[u64],
+        Over { shift, between }: Over,
+        within: &[u64],
+        Found { touched, asked }: Found<'_>,
+    ) -> [usize; 2] {
+        let (mut from, mut to, mut carry) = (usize::MAX, 0, 0);
+        for (n, (touched, asked)) in touched.iter_mut().zip(asked).enumerate() {
+            let marks = upper[n] | lower[n];
+            let next = if between { marks >> 1 | (upper[n + 1] | lower[n + 1]) << 63 } else { 0 };
+            let open = open[n] >> shift | open[n + 1] << 1 << (63 - shift);
+            *touched = (marks | next) & open & within[n];
+            *asked = fours(*touched) | (*touched & LAST) << 1 | carry;
+            carry = *touched >> 63;
+            if *touched != 0 {
+                from = from.min(n);
+                to = n + 1;
+            }
+        }
+        [from, to]
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Masks for super::wide::Avx2 {
+    #[inline(always)]
+    fn touch(
+        [upper, lower]: [&[u64]; 2],
+        open: &[u64],
+        Over { shift, between }: Over,
+        within: &[u64],
+        Found { touched, asked }: Found<'_>,
+    ) -> [usize; 2] {
+        use std::arch::x86_64::*;
+
+        let count = touched.len();
+        assert!(count.is_multiple_of(FOUR) && within.len() == count && asked.len() == count, "words by fours");
+        assert!(upper.len() > count && lower.len() > count && open.len() > count, "a word more than there are");
+        let (mut from, mut to, mut carry) = (usize::MAX, 0, 0);
+        // SAFETY: whoever takes this way has found AVX2. Four words are read and written from each multiple of four below the count on,
+        // and four from the word after that, of what has a word more.
+        unsafe {
+            let beside = _mm256_set1_epi64x(-i64::from(between));
+            // All bits are gone where the count is 64.
+            let (first_shift, second_shift) = (_mm_cvtsi32_si128(shift as i32), _mm_cvtsi32_si128(64 - shift as i32));
+            let last = _mm256_set1_epi64x(LAST as i64);
+            for at in (0..count).step_by(FOUR) {
+                let (upper, lower, open) = (upper.as_ptr().add(at), lower.as_ptr().add(at), open.as_ptr().add(at));
+                let marks = _mm256_or_si256(_mm256_loadu_si256(upper.cast()), _mm256_loadu_si256(lower.cast()));
+                let after =
+                    _mm256_or_si256(_mm256_loadu_si256(upper.add(1).cast()), _mm256_loadu_si256(lower.add(1).cast()));
+                let next = _mm256_or_si256(_mm256_srli_epi64::<1>(marks), _mm256_slli_epi64::<63>(after));
+                let first = _mm256_srl_epi64(_mm256_loadu_si256(open.cast()), first_shift);
+                let second = _mm256_sll_epi64(_mm256_loadu_si256(open.add(1).cast()), second_shift);
+                let within = _mm256_loadu_si256(within.as_ptr().add(at).cast());
+                let open = _mm256_and_si256(_mm256_or_si256(first, second), within);
+                let found = _mm256_and_si256(_mm256_or_si256(marks, _mm256_and_si256(next, beside)), open);
+                _mm256_storeu_si256(touched.as_mut_ptr().add(at).cast(), found);
+                let none = _mm256_cmpeq_epi64(found, _mm256_setzero_si256());
+                let any = !_mm256_movemask_pd(_mm256_castsi256_pd(none)) as usize & 0b1111;
+                // The carry of the last word before is the lowest bit of these.
+                let of_last = std::mem::replace(&mut carry, 0);
+                if any != 0 {
+                    from = from.min(at + any.trailing_zeros() as usize);
+                    to = at + (usize::BITS - any.leading_zeros()) as usize;
+                    let pairs = _mm256_or_si256(found, _mm256_srli_epi64::<1>(found));
+                    let fours = _mm256_and_si256(
+                        _mm256_or_si256(pairs, _mm256_srli_epi64::<2>(pairs)),
+                        _mm256_srli_epi64::<3>(last),
+                    );
+                    let next = _mm256_slli_epi64::<1>(_mm256_and_si256(found, last));
+                    let carried = _mm256_srli_epi64::<63>(_mm256_permute4x64_epi64::<0b10_01_00_00>(found));
+                    let carried = _mm256_blend_epi32::<0b11>(carried, _mm256_setzero_si256());
+                    let asks = _mm256_or_si256(_mm256_or_si256(fours, next), carried);
+                    _mm256_storeu_si256(asked.as_mut_ptr().add(at).cast(), asks);
+                    carry = touched[at + FOUR - 1] >> 63;
+                } else {
+                    _mm256_storeu_si256(asked.as_mut_ptr().add(at).cast(), _mm256_setzero_si256());
+                }
+                if of_last != 0 {
+                    asked[at] |= of_last;
+                }
+            }
+        }
+        [from, to]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::simd::{Kernel, dispatch};
+
+    const WORDS: usize = 2 * FOUR;
+
+    #[derive(Debug)]
+    struct Step {
+        scanlines: [[u64; WORDS + 1]; 2],
+        open: [u64; WORDS + 1],
+        over: Over,
+        within: [u64; WORDS],
+    }
+
+    /// What is touched, what is asked for, and which words.
+    type Output = ([u64; WORDS], [u64; WORDS], [usize; 2]);
+
+    impl Step {
+        fn touch<W: Masks>(&self) -> Output {
+            let (mut touched, mut asked, [upper, lower]) = ([7; WORDS], [7; WORDS], &self.scanlines);
+            let found = Found { touched: &mut touched, asked: &mut asked };
+            let range = W::touch([upper, lower], &self.open, self.over, &self.within, found);
+            (touched, asked, range)
+        }
+    }
+
+    impl Kernel for &Step {
+        type Output = [Output; 2];
+
+        fn run(self) -> Self::Output {
+            [self.touch::<Portable>(), self.touch::<Portable>()]
+        }
+
+        #[cfg(target_arch = "x86_64")]
+        fn run_avx2(self) -> Self::Output {
+            [self.touch::<Portable>(), self.touch::<super::super::wide::Avx2>()]
+        }
+    }
+
+    prop_compose! {
+        /// Some empty, some sparse.
+        fn words()(words in prop::array::uniform9(any::<u64>()), sparse in 0..4) -> [u64; WORDS + 1] {
+            words.map(|word| match sparse {
+                0 => word,
+                1 => word & word >> 7,
+                2 => word & word >> 7 & word >> 19 & word << 5 & word << 11,
+                _ => if word & 3 == 0 { u64::MAX } else { 0 },
+            })
+        }
+    }
+
+    proptest! {
+        /// Pixel by pixel, and in wide registers.
+        #[test]
+        fn a_pixel_is_touched_by_the_voxels_beside_it(
+            scanlines in prop::array::uniform2(words()), open in words(), within in words(), shift in 0u32..64, between: bool,
+        ) {
+            let within = *within.first_chunk().unwrap();
+            let step = Step { scanlines, open, over: Over { shift, between }, within };
+            let bit = |words: &[u64], at: usize| words.get(at / 64).is_some_and(|word| word >> (at % 64) & 1 == 1);
+            let voxel = |i: usize| step.scanlines.iter().any(|marks| bit(marks, i));
+            let [plain, wide] = dispatch(&step);
+            let (touched, asked, [from, to]) = plain;
+            for i in 0..WORDS * 64 {
+                let touches = voxel(i) || between && voxel(i + 1);
+                prop_assert_eq!(bit(&touched, i), touches && bit(&open, i + shift as usize) && bit(&within, i), "{}", i);
+            }
+            for i in 0..WORDS * 64 {
+                let needs = |i: usize| bit(&touched, i) || i > 0 && bit(&touched, i - 1);
+                prop_assert_eq!(bit(&asked, i), i % 4 == 0 && (i..i + 4).any(needs), "{}", i);
+            }
+            let words = (0..WORDS).filter(|n| touched[*n] != 0);
+            prop_assert_eq!(words.clone().min().unwrap_or(usize::MAX), from);
+            prop_assert_eq!(words.max().map_or(0, |last| last + 1), to);
+            prop_assert_eq!(plain, wide);
+        }
+    }
+}
