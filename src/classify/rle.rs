@@ -201,10 +201,11 @@ impl<'a> AxisEncoding<'a> {
     #[inline(always)]
     pub fn prefetch_marks(&self, j: usize, k: usize) {
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
-        if let Some(plane) = self.planes.get(plane) {
-            let first = row * plane.words;
-            prefetch(plane.rows.get(row..=row).unwrap_or_default());
-            prefetch(plane.marks.get(first..=first).unwrap_or_default());
+        if let Some(plane) = self.planes.get(plane)
+            && let Some(first) = plane.rows.get(row)
+        {
+            prefetch(std::slice::from_ref(first));
+            prefetch(&plane.marks[row * plane.words..][..1]);
         }
     }
 
