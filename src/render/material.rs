@@ -22,7 +22,6 @@ use super::intermediate::Spare;
 use super::pixel::{Pixel, WORD, first_four, nearest, short};
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
-use super::simd::masks::fours;
 use super::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT};
 use crate::classify::CodeTables;
 use crate::classify::labels::LabelTables;
@@ -558,16 +557,11 @@ impl SliceShader for ShortSlice<'_> {
     /// Four by four.
     #[inline(always)]
     fn word<W: Shorts>(&self, word: &VoxelWord<'_>, asked: u64, out: &mut [Short; WORD]) {
-        let some = fours(word.marks);
-        let (mut empty, mut drawn) = (asked & !some, asked & some);
-        while empty != 0 {
-            let at = first_four(empty);
-            empty &= empty - 1;
-            out[at..at + FOUR].fill(Short::CLEAR);
-        }
-        while drawn != 0 {
-            let at = first_four(drawn);
-            drawn &= drawn - 1;
+        // Of few the end of another loop would take longer to foresee than to shade nothing.
+        let mut left = asked;
+        while left != 0 {
+            let at = first_four(left);
+            left &= left - 1;
             let before = word.before(at);
             let Some(four) = word.voxels.get(before..before + FOUR).and_then(<[_]>::first_chunk::<FOUR>) else {
                 unreachable!("there are more than are drawn")
