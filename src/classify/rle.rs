@@ -19,12 +19,9 @@
 
 mod encode;
 
-use std::ops::Range;
-
 use bytemuck::zeroed_vec;
 
-pub use super::marks::WORD;
-use super::marks::words;
+use super::marks::{WORD, words};
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
 use crate::simd::prefetch;
@@ -66,31 +63,21 @@ impl<'a> Scanline<'a> {
     /// The voxels that are not transparent, one after the other.
     #[inline(always)]
     pub fn voxels(&self) -> &'a [Voxel] {
-        &self.plane.voxels[self.range()]
+        &self.plane.voxels[self.plane.rows[self.row] as usize..self.plane.rows[self.row + 1] as usize]
     }
 
-    /// The voxels' gradient opacity, 255 = 1; empty where it plays no part.
-    #[inline(always)]
-    pub fn factors(&self) -> &'a [u8] {
-        if self.plane.factors.is_empty() { &[] } else { &self.plane.factors[self.range()] }
-    }
-
-    /// The voxels of word `word` of the marks and what follows, at least [`MORE`] of them; and their gradient opacity.
+    /// The voxels of word `word` of the marks and what follows, at least [`MORE`] of them; and their gradient opacity, 255 = 1, or nothing where it
+    /// plays no part.
     #[inline(always)]
     pub fn word(&self, word: usize) -> (&'a [Voxel], &'a [u8]) {
         let before: u32 = self.marks()[..word].iter().map(|word| word.count_ones()).sum();
         let first = (self.plane.rows[self.row] + before) as usize;
         (&self.plane.voxels[first..], self.plane.factors.get(first..).unwrap_or_default())
     }
-
-    #[inline(always)]
-    fn range(&self) -> Range<usize> {
-        self.plane.rows[self.row] as usize..self.plane.rows[self.row + 1] as usize
-    }
 }
 
 /// Encoded scanlines of one plane.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plane {
     /// The first voxel of every row, and past the last.
     rows: Vec<u32>,

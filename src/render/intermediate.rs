@@ -341,7 +341,7 @@ impl<P> Band<'_, P> {
         self.scanline_of(row, width)
     }
 
-    /// The same and a few pixels beside its end, to which nothing may be added.
+    /// The same and a word of pixels beside its end, to which nothing may be added.
     #[inline(always)]
     pub fn scanline_and_more(&mut self, row: usize) -> ScanlineMut<'_, P> {
         let width = self.width + BESIDE;

@@ -217,9 +217,11 @@ impl Pixel for Short {
         while left != 0 {
             let at = first_four(left);
             left &= !(0b1111 << at);
-            let Some(pixels) = pixels[at..].first_chunk_mut::<FOUR>() else { unreachable!() };
-            let rows = [upper, lower].map(|row| row[at..].first_chunk::<{ FOUR + 1 }>());
-            let [Some(upper), Some(lower)] = rows else { unreachable!() };
+            let (Some(pixels), Some(upper), Some(lower)) =
+                (pixels[at..].first_chunk_mut::<FOUR>(), upper[at..].first_chunk(), lower[at..].first_chunk())
+            else {
+                unreachable!("a four ends in its word")
+            };
             done |= W::blend::<LOWER>(pixels, [upper, lower], weights, limit, touched >> at) << at;
         }
         done

@@ -318,11 +318,14 @@ mod tests {
             for (j, k) in (0..dims[2]).flat_map(|k| (0..dims[1]).map(move |j| (j, k))) {
                 let scanline = of_axis.scanline(j, k);
                 let mut found = vec![None; dims[0]];
-                let mut stored = (0..).zip(scanline.voxels());
+                let mut stored = scanline.voxels().iter();
                 for (i, found) in found.iter_mut().enumerate() {
-                    if scanline.marks()[i / WORD] >> (i % WORD) & 1 == 1 {
-                        let (at, voxel) = stored.next().expect("a voxel for each mark");
-                        *found = Some((*voxel, *scanline.factors().get::<usize>(at).unwrap_or(&255)));
+                    let (marks, at) = (scanline.marks()[i / WORD], i % WORD);
+                    if marks >> at & 1 == 1 {
+                        let ((voxels, factors), before) = (scanline.word(i / WORD), marks & ((1 << at) - 1));
+                        let before = before.count_ones() as usize;
+                        assert_eq!(stored.next(), Some(&voxels[before]), "a voxel for each mark");
+                        *found = Some((voxels[before], *factors.get(before).unwrap_or(&255)));
                     }
                 }
                 assert!(stored.next().is_none(), "voxels that are not marked");
