@@ -8,8 +8,8 @@ use glam::Vec4;
 use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, SlabTables, Slabs};
 use shearwarp::classify::summed_area::SummedAreaTable;
 use shearwarp::classify::{
-    CellRuns, Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction,
-    presets,
+    Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction,
+    VisibleVoxels, cells, presets,
 };
 use shearwarp::encode::{Format, encode};
 use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Quality, Scene, Settings, View, render};
@@ -37,12 +37,16 @@ fn stages(criterion: &mut Criterion) {
     criterion.bench_function("summed_area_table", |b| {
         b.iter(|| SummedAreaTable::new(&tables, &transfer, prepared.octree()));
     });
+    criterion.bench_function("visible_voxels", |b| {
+        b.iter(|| VisibleVoxels::new(&prepared, &tables, &occupied));
+    });
+    let visible = VisibleVoxels::new(&prepared, &tables, &occupied);
     criterion.bench_function("run_lengths", |b| {
-        b.iter(|| RunLengthVolume::encode(&prepared, &tables, &transfer, &occupied));
+        b.iter(|| RunLengthVolume::encode(&prepared, &tables, &transfer, &visible));
     });
     let slabs = Classification::build(&prepared, &transfer, Purpose::Slabs { entries: 256 });
     let visible = slabs.slabs().expect("it is of slabs").visible_codes();
-    criterion.bench_function("cell_runs", |b| b.iter(|| CellRuns::encode(&prepared, visible, slabs.occupied())));
+    criterion.bench_function("cell_runs", |b| b.iter(|| cells::mark(&prepared, visible, slabs.occupied())));
 
     let classification = Classification::build(&prepared, &transfer, Purpose::Voxels { min_opacity: 0.002 });
     let encodings = Encodings::build(&prepared, &transfer, &classification);

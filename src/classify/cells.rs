@@ -10,9 +10,7 @@
 //!
 //! Scanlines are stored in the two orders of [`super::rle`].
 
-use rayon::prelude::*;
-
-use super::marks::{OccupiedWords, VisibleCodes, turn};
+use super::marks::{Marks, OccupiedWords, VisibleCodes, turn};
 pub use super::marks::{WORD, words};
 use crate::simd::{self, Kernel};
 use crate::volume::PreparedVolume;
@@ -20,84 +18,20 @@ use crate::volume::gradient::Code;
 use crate::volume::octree::leaf_of;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
-/// A bit for every cell: set where something may show.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CellRuns {
-    /// Cells along x, y, z: one fewer than voxels.
-    pub(super) dims: [usize; 3],
-    /// Scanlines along x: row (y, z) at `(z * cells_y + y) * words(cells_x)`.
-    pub(super) along_x: Vec<u64>,
-    /// Scanlines along y: row (x, z) at `(z * cells_x + x) * words(cells_y)`.
-    pub(super) along_y: Vec<u64>,
-}
-
-/// The runs that one principal axis walks.
-#[derive(Clone, Copy, Debug)]
-pub struct AxisCells<'a> {
-    bits: &'a [u64],
-    words: usize,
-    /// Words from a scanline to the next, and from a slice to the next.
-    strides: [usize; 2],
-}
-
-impl<'a> AxisCells<'a> {
-    /// The cells between scanlines `j` and `j + 1` of slices `k` and `k + 1`: bit i of the words is
-    /// the cell between voxels i and i + 1.
-    #[inline(always)]
-    pub fn scanline(&self, j: usize, k: usize) -> &'a [u64] {
-        &self.bits[j * self.strides[0] + k * self.strides[1]..][..self.words]
+/// Marks the cells between whose corners `visible` (a flag for each code) has a set flag. `occupied` has a flag for each leaf of the
+/// volume's octree: false only where no cell of the leaf is to be marked.
+pub fn mark(prepared: &PreparedVolume, visible: &[bool], occupied: &[bool]) -> Marks {
+    match prepared.scanlines(2) {
+        AnyScanlines::U8(scanlines) => mark_codes(scanlines, visible, occupied),
+        AnyScanlines::U16(scanlines) => mark_codes(scanlines, visible, occupied),
     }
 }
 
-impl CellRuns {
-    /// Marks the cells between whose corners `visible` (a flag for each code) has a set flag.
-    /// `occupied` has a flag for each leaf of the volume's octree: false only where no cell of the
-    /// leaf is to be marked.
-    pub fn encode(prepared: &PreparedVolume, visible: &[bool], occupied: &[bool]) -> Self {
-        match prepared.scanlines(2) {
-            AnyScanlines::U8(scanlines) => encode(scanlines, visible, occupied),
-            AnyScanlines::U16(scanlines) => encode(scanlines, visible, occupied),
-        }
-    }
-
-    /// What the runs of a volume of so many voxels take in memory, both orders.
-    pub(super) fn bytes_of(dims: [usize; 3]) -> u64 {
-        let [cx, cy, cz] = dims.map(|n| n - 1);
-        (cz * (cy * words(cx) + cx * words(cy)) * size_of::<u64>()) as u64
-    }
-
-    /// The runs for a principal axis (0: x, 1: y, 2: z).
-    pub fn for_axis(&self, axis: usize) -> AxisCells<'_> {
-        let [nx, ny, _] = self.dims;
-        match axis {
-            0 => AxisCells { bits: &self.along_y, words: words(ny), strides: [nx * words(ny), words(ny)] },
-            1 => AxisCells { bits: &self.along_x, words: words(nx), strides: [ny * words(nx), words(nx)] },
-            _ => AxisCells { bits: &self.along_x, words: words(nx), strides: [words(nx), ny * words(nx)] },
-        }
-    }
-
-    /// Share of the cells that are marked, 0..=1.
-    pub fn nontransparent_share(&self) -> f64 {
-        let marked: u64 = self.along_x.iter().map(|word| u64::from(word.count_ones())).sum();
-        marked as f64 / self.dims.iter().product::<usize>() as f64
-    }
-
-    /// Bytes in memory, both orders.
-    pub fn bytes(&self) -> u64 {
-        (size_of_val(&self.along_x[..]) + size_of_val(&self.along_y[..])) as u64
-    }
-}
-
-fn encode<T: Code>(scanlines: Scanlines<'_, T>, visible: &[bool], occupied: &[bool]) -> CellRuns {
-    let dims @ [cx, cy, cz] = scanlines.dims().map(|n| n - 1);
+fn mark_codes<T: Code>(scanlines: Scanlines<'_, T>, visible: &[bool], occupied: &[bool]) -> Marks {
     let visible = VisibleCodes::new(visible.iter().copied());
-    let mut along_x = vec![0; cz * cy * words(cx)];
-    let mut along_y = vec![0; cz * cx * words(cy)];
-    let planes = along_x.par_chunks_mut(cy * words(cx)).zip(along_y.par_chunks_mut(cx * words(cy)));
-    planes.enumerate().for_each(|(z, (rows, columns))| {
+    Marks::of_planes(scanlines.dims().map(|n| n - 1), |z, rows, columns| {
         simd::dispatch(Plane { scanlines, visible: &visible, occupied, z, rows, columns });
-    });
-    CellRuns { dims, along_x, along_y }
+    })
 }
 
 /// The cells between slices `z` and `z + 1`, to be marked in both orders.
@@ -137,12 +71,12 @@ mod tests {
     use crate::volume::{Scalars, phantom};
 
     /// The flags of leaves that a transfer function with such visible codes leaves, and the runs.
-    fn encoded(prepared: &PreparedVolume, visible: &[bool]) -> CellRuns {
+    fn encoded(prepared: &PreparedVolume, visible: &[bool]) -> Marks {
         let occupied = prepared.octree().occupied_leaves(|range| {
             let (low, high) = range.code;
             !visible[usize::from(low)..=usize::from(high)].contains(&true)
         });
-        CellRuns::encode(prepared, visible, &occupied)
+        mark(prepared, visible, &occupied)
     }
 
     #[test]

@@ -5,8 +5,11 @@
 //! voxels; a table of flags would be asked voxel by voxel. A cell, over whose corners the scalar ranges from
 //! low to high, shows something if that range meets an interval: two comparisons as well.
 //!
-//! Scanlines of the other stored order are columns of these, and bits are turned in blocks of 64 x 64.
+//! Scanlines of the other stored order ([`super::rle`]) are columns of these, and bits are turned in blocks of 64 x 64.
 
+use rayon::prelude::*;
+
+use crate::simd::prefetch;
 use crate::volume::gradient::Code;
 use crate::volume::octree::{LEAF, leaf_of, leaves_along};
 
@@ -16,6 +19,140 @@ pub const WORD: usize = 64;
 /// Words of a scanline of so many voxels (or cells).
 pub const fn words(length: usize) -> usize {
     length.div_ceil(WORD)
+}
+
+/// So many words can be read from a scanline's first on past its last.
+pub const MORE: usize = 4;
+
+/// A bit for every voxel (or cell), in both orders.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Marks {
+    /// Voxels (or cells) along x, y, z.
+    pub(super) dims: [usize; 3],
+    /// Scanlines along x: row (y, z) at `(z * ny + y) * words(nx)`. And [`MORE`] words of none.
+    pub(super) along_x: Vec<u64>,
+    /// Scanlines along y: row (x, z) at `(z * nx + x) * words(ny)`. And [`MORE`] words of none.
+    pub(super) along_y: Vec<u64>,
+}
+
+/// The marks that one principal axis walks.
+#[derive(Clone, Copy, Debug)]
+pub struct AxisMarks<'a> {
+    bits: &'a [u64],
+    words: usize,
+    /// Words from a scanline to the next, and from a slice to the next.
+    strides: [usize; 2],
+}
+
+impl<'a> AxisMarks<'a> {
+    /// Scanline `j` of slice `k`, or of cells from voxel scanline `j` to `j + 1` and slice `k` to `k + 1`: bit i of the words is voxel i, or the
+    /// cell between voxels i and i + 1.
+    #[inline(always)]
+    pub fn scanline(&self, j: usize, k: usize) -> &'a [u64] {
+        &self.scanline_and_more(j, k)[..self.words]
+    }
+
+    /// The same and what follows: at least [`MORE`] words.
+    #[inline(always)]
+    pub fn scanline_and_more(&self, j: usize, k: usize) -> &'a [u64] {
+        &self.bits[j * self.strides[0] + k * self.strides[1]..]
+    }
+
+    /// Asks for scanline `j` of slice `k`; there may be no such slice.
+    #[inline(always)]
+    pub fn prefetch(&self, j: usize, k: usize) {
+        let first = j.wrapping_mul(self.strides[0]).wrapping_add(k.wrapping_mul(self.strides[1]));
+        if let Some(word) = self.bits.get(first..).and_then(|bits| bits.get(..1)) {
+            prefetch(word);
+        }
+    }
+}
+
+impl Marks {
+    /// Marks plane by plane, on the current rayon pool. `mark` is given z, the plane's scanlines along x and those along y, all clear.
+    pub(super) fn of_planes(
+        dims @ [nx, ny, nz]: [usize; 3],
+        mark: impl Fn(usize, &mut [u64], &mut [u64]) + Sync,
+    ) -> Self {
+        let (rows, columns) = (ny * words(nx), nx * words(ny));
+        let (mut along_x, mut along_y) = (vec![0; nz * rows + MORE], vec![0; nz * columns + MORE]);
+        let planes = along_x.par_chunks_exact_mut(rows).zip(along_y.par_chunks_exact_mut(columns)).take(nz);
+        planes.enumerate().for_each(|(z, (rows, columns))| mark(z, rows, columns));
+        Self { dims, along_x, along_y }
+    }
+
+    /// What those of so many voxels (or cells) take in memory, both orders.
+    pub(super) fn bytes_of([nx, ny, nz]: [usize; 3]) -> u64 {
+        ((nz * (ny * words(nx) + nx * words(ny)) + 2 * MORE) * size_of::<u64>()) as u64
+    }
+
+    /// Those of the plane at z, along x and along y.
+    pub(super) fn plane(&self, z: usize) -> [&[u64]; 2] {
+        let [nx, ny, _] = self.dims;
+        let (rows, columns) = (ny * words(nx), nx * words(ny));
+        [&self.along_x[z * rows..][..rows], &self.along_y[z * columns..][..columns]]
+    }
+
+    /// Those for a principal axis (0: x, 1: y, 2: z).
+    pub fn for_axis(&self, axis: usize) -> AxisMarks<'_> {
+        let [nx, ny, _] = self.dims;
+        match axis {
+            0 => AxisMarks { bits: &self.along_y, words: words(ny), strides: [nx * words(ny), words(ny)] },
+            1 => AxisMarks { bits: &self.along_x, words: words(nx), strides: [ny * words(nx), words(nx)] },
+            _ => AxisMarks { bits: &self.along_x, words: words(nx), strides: [words(nx), ny * words(nx)] },
+        }
+    }
+
+    /// Share that is marked, 0..=1.
+    pub fn share(&self) -> f64 {
+        let marked: u64 = self.along_x.iter().map(|word| u64::from(word.count_ones())).sum();
+        marked as f64 / self.dims.iter().product::<usize>() as f64
+    }
+
+    /// Bytes in memory, both orders.
+    pub fn bytes(&self) -> u64 {
+        (size_of_val(&self.along_x[..]) + size_of_val(&self.along_y[..])) as u64
+    }
+}
+
+/// Which scanlines of the slices along a principal axis hold anything.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shown {
+    /// Words of a slice: one more than its scanlines need.
+    words: usize,
+    bits: Vec<u64>,
+}
+
+impl Shown {
+    /// Of so many scanlines in so many slices; `is_shown` is asked for each (j, k).
+    pub(super) fn new(scanlines: usize, slices: usize, is_shown: impl Fn(usize, usize) -> bool) -> Self {
+        let words = scanlines.div_ceil(WORD) + 1;
+        let mut bits = vec![0; words * slices];
+        for (k, slice) in bits.chunks_exact_mut(words).enumerate() {
+            for j in 0..scanlines {
+                slice[j / WORD] |= u64::from(is_shown(j, k)) << (j % WORD);
+            }
+        }
+        Self { words, bits }
+    }
+
+    /// What it takes in memory.
+    pub(super) fn bytes_of(scanlines: usize, slices: usize) -> u64 {
+        ((scanlines.div_ceil(WORD) + 1) * slices * size_of::<u64>()) as u64
+    }
+
+    /// Bytes in memory.
+    pub(super) fn bytes(&self) -> u64 {
+        size_of_val(&self.bits[..]) as u64
+    }
+
+    /// Which of the scanlines of slice `k` from `j` on hold anything, a bit each, and of 64 at most.
+    #[inline(always)]
+    pub fn from(&self, j: usize, count: usize, k: usize) -> u64 {
+        let slice = &self.bits[k * self.words..][..self.words];
+        let (word, shift) = (j / WORD, j % WORD);
+        (slice[word] >> shift | slice[word + 1] << 1 << (WORD - 1 - shift)) & (u64::MAX >> (WORD - count))
+    }
 }
 
 /// The codes that show something, as ascending intervals with both ends included.

@@ -1,8 +1,8 @@
 //! [`Volume`](crate::volume::Volume) + [`TransferFunction`] -> what a frame walks.
 //!
 //! Nothing here depends on the view, so it is done once for many frames and kept. It comes in two
-//! parts. A [`Classification`] holds the tables and what octree and summed-area table say about
-//! every leaf: made in milliseconds, and enough for a frame (Lacroute and Levoy 1994, section 3.3).
+//! parts. A [`Classification`] holds the tables, what octree and summed-area table say about
+//! every leaf, and which single voxels are visible: made in milliseconds, and enough for a frame (Lacroute and Levoy 1994, section 3.3).
 //! [`Encodings`] hold runs (section 3.1): they take longer and make frames faster, and change no bit
 //! of them, so a frame is never kept waiting for them.
 
@@ -16,18 +16,20 @@ mod serial;
 pub mod summed_area;
 pub mod tables;
 pub mod transfer;
+pub mod visible;
 
 use std::io::{self, Read, Write};
 use std::time::{Duration, Instant};
 
 use crate::volume::PreparedVolume;
 use crate::volume::octree::LEAF;
-pub use cells::CellRuns;
+use marks::Marks;
 use preintegration::SlabTables;
 pub use rle::RunLengthVolume;
 use summed_area::{SummedAreaTable, octree_for};
 pub use tables::CodeTables;
 pub use transfer::{Color, ControlPoint, GradientPoint, InvalidField, TransferFunction};
+pub use visible::VisibleVoxels;
 
 /// What is classified.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +50,7 @@ pub struct Classification {
     tables: CodeTables,
     slabs: Option<SlabTables>,
     occupied: Vec<bool>,
+    visible: Option<VisibleVoxels>,
     summed_area_table: Duration,
 }
 
@@ -65,12 +68,22 @@ impl Classification {
             Purpose::Voxels { .. } => None,
             Purpose::Slabs { entries } => Some(SlabTables::new(prepared.volume(), transfer, entries)),
         };
-        let summed_area = match &slabs {
-            None => SummedAreaTable::new(&tables, transfer, octree),
-            Some(slabs) => SummedAreaTable::of_slabs(slabs.visible_codes(), transfer, octree),
+        let occupied = match &slabs {
+            None => Self::leaves(prepared, transfer, &tables),
+            Some(slabs) => {
+                let summed_area = SummedAreaTable::of_slabs(slabs.visible_codes(), transfer, octree);
+                octree.occupied_leaves(|range| summed_area.is_transparent(range))
+            }
         };
-        let occupied = octree.occupied_leaves(|range| summed_area.is_transparent(range));
-        Self { purpose, tables, slabs, occupied, summed_area_table: start.elapsed() }
+        let visible = slabs.is_none().then(|| VisibleVoxels::new(prepared, &tables, &occupied));
+        Self { purpose, tables, slabs, occupied, visible, summed_area_table: start.elapsed() }
+    }
+
+    /// A flag for each leaf of the volume's octree: false only where none of its voxels shows by `tables`.
+    pub fn leaves(prepared: &PreparedVolume, transfer: &TransferFunction, tables: &CodeTables) -> Vec<bool> {
+        let octree = octree_for(prepared, transfer);
+        let summed_area = SummedAreaTable::new(tables, transfer, octree);
+        octree.occupied_leaves(|range| summed_area.is_transparent(range))
     }
 
     /// What it is for.
@@ -94,14 +107,20 @@ impl Classification {
         &self.occupied
     }
 
-    /// How long the tables and flags took.
+    /// Which voxels are visible; `None` where slabs are classified.
+    pub fn visible(&self) -> Option<&VisibleVoxels> {
+        self.visible.as_ref()
+    }
+
+    /// How long tables, flags and visible voxels took.
     pub fn summed_area_table(&self) -> Duration {
         self.summed_area_table
     }
 
     /// Bytes in memory.
     pub fn bytes(&self) -> u64 {
-        self.tables.bytes() + self.slabs.as_ref().map_or(0, SlabTables::bytes) + self.occupied.len() as u64
+        let visible = self.visible.as_ref().map_or(0, VisibleVoxels::bytes);
+        self.tables.bytes() + self.slabs.as_ref().map_or(0, SlabTables::bytes) + self.occupied.len() as u64 + visible
     }
 }
 
@@ -110,19 +129,18 @@ impl Classification {
 pub enum Encodings {
     /// For [`Purpose::Voxels`]: runs of non-transparent voxels, and those voxels.
     Voxels(RunLengthVolume),
-    /// For [`Purpose::Slabs`]: runs of cells in which something shows.
-    Cells(CellRuns),
+    /// For [`Purpose::Slabs`]: [`cells`] in which something shows.
+    Cells(Marks),
 }
 
 impl Encodings {
     /// Encodes on the current rayon pool.
     pub fn build(prepared: &PreparedVolume, transfer: &TransferFunction, classification: &Classification) -> Self {
-        match &classification.slabs {
-            None => {
-                let Classification { tables, occupied, .. } = classification;
-                Self::Voxels(RunLengthVolume::encode(prepared, tables, transfer, occupied))
-            }
-            Some(slabs) => Self::Cells(CellRuns::encode(prepared, slabs.visible_codes(), &classification.occupied)),
+        let Classification { tables, slabs, occupied, visible, .. } = classification;
+        match (slabs, visible) {
+            (Some(slabs), _) => Self::Cells(cells::mark(prepared, slabs.visible_codes(), occupied)),
+            (None, Some(visible)) => Self::Voxels(RunLengthVolume::encode(prepared, tables, transfer, visible)),
+            (None, None) => unreachable!("either slabs or voxels are classified"),
         }
     }
 
@@ -130,7 +148,7 @@ impl Encodings {
     pub fn bytes_at_most(prepared: &PreparedVolume, classification: &Classification) -> u64 {
         let dims = prepared.volume().dims();
         match classification.purpose {
-            Purpose::Slabs { .. } => CellRuns::bytes_of(dims),
+            Purpose::Slabs { .. } => Marks::bytes_of(dims.map(|n| n - 1)),
             Purpose::Voxels { .. } => {
                 let leaves @ [lx, ly, _] = prepared.octree().leaf_dims();
                 // The last leaf along an axis has what is left.
@@ -153,7 +171,7 @@ impl Encodings {
     }
 
     /// The runs of cells, where that is what they are of.
-    pub fn cells(&self) -> Option<&CellRuns> {
+    pub fn cells(&self) -> Option<&Marks> {
         match self {
             Self::Voxels(_) => None,
             Self::Cells(cells) => Some(cells),
@@ -164,7 +182,7 @@ impl Encodings {
     pub fn nontransparent_share(&self) -> f64 {
         match self {
             Self::Voxels(voxels) => voxels.nontransparent_share(),
-            Self::Cells(cells) => cells.nontransparent_share(),
+            Self::Cells(cells) => cells.share(),
         }
     }
 

@@ -21,10 +21,12 @@ mod encode;
 
 use bytemuck::zeroed_vec;
 
-use super::marks::{WORD, words};
+pub use super::marks::MORE;
+use super::marks::{Shown, words};
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
-use crate::simd::prefetch;
+use super::visible::VisibleVoxels;
+use crate::simd::prefetch_at;
 use crate::volume::PreparedVolume;
 
 /// What a frame needs of a non-transparent voxel.
@@ -36,9 +38,6 @@ pub struct Voxel {
     /// The normal's code.
     pub normal: u16,
 }
-
-/// So many words can be read from a scanline's first on past its last, and so many voxels past those that are stored.
-pub const MORE: usize = 4;
 
 /// One encoded scanline.
 #[derive(Clone, Copy, Debug)]
@@ -70,9 +69,30 @@ impl<'a> Scanline<'a> {
     /// plays no part.
     #[inline(always)]
     pub fn word(&self, word: usize) -> (&'a [Voxel], &'a [u8]) {
-        let before: u32 = self.marks()[..word].iter().map(|word| word.count_ones()).sum();
-        let first = (self.plane.rows[self.row] + before) as usize;
+        self.from(self.before(word))
+    }
+
+    /// The same of the word with so many voxels of the scanline before it.
+    #[inline(always)]
+    pub fn from(&self, before: usize) -> (&'a [Voxel], &'a [u8]) {
+        let first = self.plane.rows[self.row] as usize + before;
         (&self.plane.voxels[first..], self.plane.factors.get(first..).unwrap_or_default())
+    }
+
+    /// How many voxels are not transparent before word `word`.
+    #[inline(always)]
+    pub fn before(&self, word: usize) -> usize {
+        let mut before = 0;
+        for marks in &self.marks()[..word] {
+            before += marks.count_ones() as usize;
+        }
+        before
+    }
+
+    /// The voxels from the scanline's first on.
+    #[inline(always)]
+    pub fn voxels_and_more(&self) -> &'a [Voxel] {
+        &self.plane.voxels[self.plane.rows[self.row] as usize..]
     }
 }
 
@@ -149,31 +169,6 @@ pub struct RunLengthVolume {
     shown: [Shown; 3],
 }
 
-/// Which scanlines of the slices along a principal axis hold anything.
-#[derive(Clone, Debug, PartialEq)]
-struct Shown {
-    /// Words of a slice: one more than its scanlines need.
-    words: usize,
-    bits: Vec<u64>,
-}
-
-impl Shown {
-    /// `planes` are as they are stored.
-    fn new(planes: &[Plane], plane_is_slice: bool) -> Self {
-        let rows = planes.first().map_or(0, |plane| plane.rows.len() - 1);
-        let (scanlines, slices) = if plane_is_slice { (rows, planes.len()) } else { (planes.len(), rows) };
-        let words = scanlines.div_ceil(WORD) + 1;
-        let mut bits = vec![0; words * slices];
-        for (plane, Plane { rows, .. }) in planes.iter().enumerate() {
-            for (row, _) in rows.windows(2).enumerate().filter(|(_, ends)| ends[0] != ends[1]) {
-                let (j, k) = if plane_is_slice { (row, plane) } else { (plane, row) };
-                bits[k * words + j / WORD] |= 1 << (j % WORD);
-            }
-        }
-        Self { words, bits }
-    }
-}
-
 /// The encoding that one principal axis walks.
 #[derive(Clone, Copy, Debug)]
 pub struct AxisEncoding<'a> {
@@ -188,20 +183,16 @@ impl<'a> AxisEncoding<'a> {
     #[inline(always)]
     pub fn prefetch_marks(&self, j: usize, k: usize) {
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
-        if let Some(plane) = self.planes.get(plane)
-            && let Some(first) = plane.rows.get(row)
-        {
-            prefetch(std::slice::from_ref(first));
-            prefetch(&plane.marks[row * plane.words..][..1]);
+        if let Some(plane) = self.planes.get(plane) {
+            prefetch_at(&plane.rows, row);
+            prefetch_at(&plane.marks, row.wrapping_mul(plane.words));
         }
     }
 
     /// Which of the scanlines of slice `k` from `j` on hold anything, a bit each, and of 64 at most.
     #[inline(always)]
     pub fn shown(&self, j: usize, count: usize, k: usize) -> u64 {
-        let slice = &self.shown.bits[k * self.shown.words..][..self.shown.words];
-        let (word, shift) = (j / WORD, j % WORD);
-        (slice[word] >> shift | slice[word + 1] << 1 << (WORD - 1 - shift)) & (u64::MAX >> (WORD - count))
+        self.shown.from(j, count, k)
     }
 
     /// Scanline `j` of slice `k`.
@@ -215,19 +206,24 @@ impl<'a> AxisEncoding<'a> {
 impl RunLengthVolume {
     /// Of planes in both orders.
     pub(super) fn new(dims: [usize; 3], along_x: Vec<Plane>, along_y: Vec<Plane>) -> Self {
-        let shown = [Shown::new(&along_y, false), Shown::new(&along_x, false), Shown::new(&along_x, true)];
+        let [nx, ny, nz] = dims;
+        let has = |plane: &Plane, row: usize| plane.rows[row] != plane.rows[row + 1];
+        let shown = [
+            Shown::new(nz, nx, |j, k| has(&along_y[j], k)),
+            Shown::new(nz, ny, |j, k| has(&along_x[j], k)),
+            Shown::new(ny, nz, |j, k| has(&along_x[k], j)),
+        ];
         Self { dims, along_x, along_y, shown }
     }
 
-    /// Encodes what `tables` (and the gradient opacity of `transfer`) leave visible. `occupied` has a
-    /// flag for each leaf of the volume's octree: false only where the whole leaf is transparent.
+    /// Encodes what of the voxels that are `visible` by `tables` the gradient opacity of `transfer` leaves.
     pub fn encode(
         prepared: &PreparedVolume,
         tables: &CodeTables,
         transfer: &TransferFunction,
-        occupied: &[bool],
+        visible: &VisibleVoxels,
     ) -> Self {
-        encode::encode(prepared, tables, transfer, occupied)
+        encode::encode(prepared, tables, transfer, visible)
     }
 
     /// What encoding so many voxels, those of the occupied leaves, can take in memory at most.
@@ -237,9 +233,8 @@ impl RunLengthVolume {
             let marks = (rows * words(length) + MORE) * size_of::<u64>() + (rows + 1) * size_of::<u32>();
             5 * voxels + (nz * (marks + MORE * size_of::<Voxel>())) as u64
         };
-        let shown =
-            |scanlines: usize, slices: usize| ((scanlines.div_ceil(WORD) + 1) * slices * size_of::<u64>()) as u64;
-        order(nx, ny) + order(ny, nx) + shown(nz, nx) + shown(nz, ny) + shown(ny, nz)
+        let shown = Shown::bytes_of(nz, nx) + Shown::bytes_of(nz, ny) + Shown::bytes_of(ny, nz);
+        order(nx, ny) + order(ny, nx) + shown
     }
 
     /// The encoding for a principal axis (0: x, 1: y, 2: z).
@@ -260,7 +255,7 @@ impl RunLengthVolume {
 
     /// Bytes in memory, all orders.
     pub fn bytes(&self) -> u64 {
-        let shown: usize = self.shown.iter().map(|shown| size_of_val(&shown.bits[..])).sum();
-        shown as u64 + self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum::<u64>()
+        let shown: u64 = self.shown.iter().map(Shown::bytes).sum();
+        shown + self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum::<u64>()
     }
 }

@@ -5,9 +5,8 @@
 
 use std::io::{self, Read, Write};
 
-use super::cells::CellRuns;
-use super::marks::{WORD, words};
-use super::rle::{MORE, Plane, RunLengthVolume, Voxel};
+use super::marks::{MORE, Marks, WORD, words};
+use super::rle::{Plane, RunLengthVolume, Voxel};
 use crate::volume::Volume;
 use crate::volume::gradient::NO_NORMAL;
 
@@ -39,28 +38,31 @@ pub(super) fn read(volume: &Volume, with_factors: bool, input: &mut impl Read) -
 }
 
 /// Writes the runs of cells.
-pub(super) fn write_cells(cells: &CellRuns, out: &mut impl Write) -> io::Result<()> {
+pub(super) fn write_cells(cells: &Marks, out: &mut impl Write) -> io::Result<()> {
     out.write_all(bytemuck::bytes_of(&BYTE_ORDER))?;
     out.write_all(bytemuck::bytes_of(&cells.dims.map(|n| n as u32)))?;
-    out.write_all(bytemuck::cast_slice(&cells.along_x))?;
-    out.write_all(bytemuck::cast_slice(&cells.along_y))
+    for order in [&cells.along_x, &cells.along_y] {
+        out.write_all(bytemuck::cast_slice(&order[..order.len() - MORE]))?;
+    }
+    Ok(())
 }
 
 /// Reads and checks the runs of cells.
-pub(super) fn read_cells(volume: &Volume, input: &mut impl Read) -> io::Result<CellRuns> {
+pub(super) fn read_cells(volume: &Volume, input: &mut impl Read) -> io::Result<Marks> {
     let dims @ [nx, ny, nz] = volume.dims().map(|n| n - 1);
     expect(read_value::<u32>(input)? == BYTE_ORDER, "another byte order or format")?;
     expect(read_value::<[u32; 3]>(input)? == dims.map(|n| n as u32), "other dimensions")?;
     let along_x = read_marks(input, nx, ny * nz)?;
-    Ok(CellRuns { dims, along_x, along_y: read_marks(input, ny, nx * nz)? })
+    Ok(Marks { dims, along_x, along_y: read_marks(input, ny, nx * nz)? })
 }
 
-/// Reads marks of so many scanlines of a length, and checks that none is past the end of a scanline.
+/// Reads marks of so many scanlines of a length, and checks that none is past the end of a scanline. [`MORE`] words of none follow.
 fn read_marks(input: &mut impl Read, length: usize, rows: usize) -> io::Result<Vec<u64>> {
-    let marks: Vec<u64> = read_values(input, words(length) * rows)?;
+    let mut marks: Vec<u64> = read_values(input, words(length) * rows)?;
     let past_end = if length.is_multiple_of(WORD) { 0 } else { u64::MAX << (length % WORD) };
     let last = marks.chunks_exact(words(length)).map(|row| row[row.len() - 1]);
     expect(last.fold(0, |all, word| all | word) & past_end == 0, "marks past the end of a scanline")?;
+    marks.extend([0; MORE]);
     Ok(marks)
 }
 
@@ -71,8 +73,7 @@ fn read_plane(
     last_code: u16,
     with_factors: bool,
 ) -> io::Result<Plane> {
-    let mut marks = read_marks(input, length, rows)?;
-    marks.extend([0; MORE]);
+    let marks = read_marks(input, length, rows)?;
     let mut plane = Plane::of_marks(marks, words(length));
     let voxels: Vec<Voxel> = read_values(input, plane.count())?;
     expect(voxels.iter().all(|v| v.code <= last_code && v.normal <= NO_NORMAL), "a wrong voxel")?;

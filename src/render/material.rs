@@ -14,12 +14,11 @@ use std::fmt::Debug;
 use glam::Vec4;
 
 use super::Sampling;
-use super::composite::samples::BLOCK;
-use super::composite::sources::Stored;
+use super::composite::sources::{Gathered, Stored, VoxelSource};
 use super::composite::{first_run, run_mask};
 use super::factorization::Factorization;
 use super::intermediate::Spare;
-use super::pixel::{Pixel, WORD, first_four, nearest, short};
+use super::pixel::{BLOCK, Pixel, WORD, first_four, nearest, short};
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
 use super::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT};
@@ -301,8 +300,14 @@ pub trait SliceShader: Copy {
     /// What is resampled of voxel (i, j, k); `factor` is its gradient opacity, 255 = 1.
     fn voxel(&self, voxel: Voxel, factor: u8, at: [usize; 3]) -> Self::Pixel;
 
-    /// The same of a word of voxels: of every aligned four whose first bit is `asked` for. Nothing where none is drawn.
-    fn word<W: Shorts>(&self, word: &VoxelWord<'_>, asked: u64, out: &mut [Self::Pixel; WORD]);
+    /// The same of a word of voxels: of every aligned four whose first bit is `asked` for. Nothing where none is marked.
+    fn word<W: Shorts, V: VoxelSource>(
+        &self,
+        source: &V,
+        word: &VoxelWord<V::Word>,
+        asked: u64,
+        out: &mut [Self::Pixel; WORD],
+    );
 
     /// Premultiplied colour and opacity of what was resampled, along a ray of a `length` in units of the shortest.
     fn resampled(&self, sample: Self::Pixel, length: f32) -> Self::Pixel;
@@ -310,23 +315,19 @@ pub trait SliceShader: Copy {
 
 /// Voxels of a scanline that one word of marks tells of.
 #[derive(Clone, Copy, Debug)]
-pub struct VoxelWord<'a> {
-    /// Set where a voxel is drawn.
+pub struct VoxelWord<S> {
+    /// Set where a voxel may be drawn.
     pub marks: u64,
-    /// Those that are, one after the other, and at least [`MORE`](crate::classify::rle::MORE) of anything.
-    pub voxels: &'a [Voxel],
-    /// Their gradient opacity, 255 = 1, where that plays a part.
-    pub factors: &'a [u8],
+    /// Where a source has those.
+    pub voxels: S,
     /// (i, j, k) of the word's first voxel.
     pub at: [usize; 3],
 }
 
-impl VoxelWord<'_> {
-    /// How many voxels are drawn before one of the word's.
-    #[inline(always)]
-    fn before(&self, voxel: usize) -> usize {
-        (self.marks & ((1 << voxel) - 1)).count_ones() as usize
-    }
+/// How many voxels are marked before one of a word's.
+#[inline(always)]
+pub fn before(marks: u64, voxel: usize) -> usize {
+    (marks & ((1 << voxel) - 1)).count_ones() as usize
 }
 
 /// The [`Shader`] of floats.
@@ -427,9 +428,17 @@ impl<H: Light, const FACTORED: bool> SliceShader for SliceMaterial<'_, H, FACTOR
 
     /// Run by run.
     #[inline(always)]
-    fn word<W: Shorts>(&self, word: &VoxelWord<'_>, asked: u64, out: &mut [Vec4; WORD]) {
+    fn word<W: Shorts, V: VoxelSource>(
+        &self,
+        source: &V,
+        word: &VoxelWord<V::Word>,
+        asked: u64,
+        out: &mut [Vec4; WORD],
+    ) {
         // All of each four.
         let asked = asked * 0b1111;
+        let mut gathered = Gathered::default();
+        let (marks, voxels, factors) = source.packed::<Self>(word, asked, &mut gathered);
         let mut empty = asked & !word.marks;
         while empty != 0 {
             let (start, length) = first_run(empty);
@@ -440,14 +449,14 @@ impl<H: Light, const FACTORED: bool> SliceShader for SliceMaterial<'_, H, FACTOR
         while drawn != 0 {
             let (start, length) = first_run(drawn);
             drawn &= !run_mask(start, length);
-            let before = word.before(start);
+            let before = before(marks, start);
             let stored = before..before + length;
-            let factors = if FACTORED { &word.factors[stored.clone()] } else { &[] };
+            let factors = if FACTORED { &factors[stored.clone()] } else { &[] };
             let ([i, j, k], out) = (word.at, &mut out[start..start + length]);
             if H::BLOCKS {
-                self.voxels_by::<BLOCK>(&word.voxels[stored], factors, [i + start, j, k], out);
+                self.voxels_by::<BLOCK>(&voxels[stored], factors, [i + start, j, k], out);
             } else {
-                self.voxels_by::<1>(&word.voxels[stored], factors, [i + start, j, k], out);
+                self.voxels_by::<1>(&voxels[stored], factors, [i + start, j, k], out);
             }
         }
     }
@@ -556,22 +565,29 @@ impl SliceShader for ShortSlice<'_> {
 
     /// Four by four.
     #[inline(always)]
-    fn word<W: Shorts>(&self, word: &VoxelWord<'_>, asked: u64, out: &mut [Short; WORD]) {
+    fn word<W: Shorts, V: VoxelSource>(
+        &self,
+        source: &V,
+        word: &VoxelWord<V::Word>,
+        asked: u64,
+        out: &mut [Short; WORD],
+    ) {
         // Of few the end of another loop would take longer to foresee than to shade nothing.
         let mut left = asked;
         while left != 0 {
             let at = first_four(left);
             left &= left - 1;
-            let before = word.before(at);
-            let Some(four) = word.voxels.get(before..before + FOUR).and_then(<[_]>::first_chunk::<FOUR>) else {
-                unreachable!("there are more than are drawn")
-            };
+            let four = source.four(word, at);
             let (mut entries, mut lights) = ([Short::CLEAR; FOUR], [[0; 2]; FOUR]);
             for n in 0..FOUR {
                 entries[n] = self.table[usize::from(four[n].code)];
                 lights[n] = self.lights[usize::from(four[n].normal)];
             }
-            let shaded = W::shade(entries, lights, word.marks >> at);
+            let shaded = if V::PACKED {
+                W::shade::<true>(entries, lights, word.marks >> at)
+            } else {
+                W::shade::<false>(entries, lights, word.marks >> at)
+            };
             out[at..at + FOUR].copy_from_slice(&shaded);
         }
     }

@@ -26,7 +26,7 @@ use super::composite::samples::{VoxelLight, VoxelRows};
 use super::factorization::{Factorization, SlicePlacement};
 use super::simd::{self, Kernel};
 use crate::classify::labels::Labels;
-use crate::classify::{Classification, CodeTables, Purpose, TransferFunction};
+use crate::classify::{Classification, CodeTables, TransferFunction};
 use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines, turn};
 use crate::volume::{PreparedVolume, Volume};
@@ -68,19 +68,19 @@ impl Shadow {
     ) -> Self {
         let volume = prepared.volume();
         let factorization = Factorization::along_rays(-towards.normalize(), volume);
-        let classification = Classification::build(prepared, transfer, Purpose::Voxels { min_opacity: 0.0 });
-        let around = with_neighbours(classification.occupied(), prepared.octree().leaf_dims());
-        let (tables, length) = (classification.tables(), factorization.slice_distance as f32);
+        let (tables, length) = (CodeTables::new(volume, transfer, 0.0), factorization.slice_distance as f32);
+        let occupied = Classification::leaves(prepared, transfer, &tables);
+        let around = with_neighbours(&occupied, prepared.octree().leaf_dims());
         let world_from_voxel = factorization.world_from_voxel(volume);
         let cast = Cast {
             factorization: &factorization,
             placements: (0..factorization.dims[2]).map(|k| factorization.slice(k)).collect(),
-            casters: LeafRows::new(classification.occupied(), &factorization),
+            casters: LeafRows::new(&occupied, &factorization),
             receivers: LeafRows::new(&around, &factorization),
             clip: clip.told_by(world_from_voxel),
             holes: holes.iter().map(|hole| hole.told_by(world_from_voxel)).collect(),
             opacity: tables.extinction.iter().map(|tau| -(-tau * length).exp_m1()).collect(),
-            tables,
+            tables: &tables,
             labels,
         };
         let lacking = match prepared.scanlines(factorization.principal_axis) {

@@ -33,8 +33,10 @@ use crate::classify::{Classification, Encodings, Purpose, TransferFunction};
 use crate::render::Cancel;
 use crate::render::shadow::Shadow;
 
-/// Share of the cache that is for tables, which are small beside encodings: half of it for those of labels.
-const TABLES_SHARE: u64 = 4;
+/// Share of the cache that is for labels' tables.
+const LABELS_SHARE: u64 = 16;
+/// For classifications in sixteenths: two bits for each voxel.
+const CLASSIFICATIONS_SIXTEENTHS: u64 = 5;
 /// And for shadows, a byte for each voxel.
 const SHADOWS_SHARE: u64 = 8;
 
@@ -113,13 +115,13 @@ impl ClassifiedCache {
     /// An empty cache for `bytes` of classifications and encodings at most; encodings may be kept in
     /// `folder` too.
     pub fn new(bytes: u64, folder: Option<CacheFolder>) -> Self {
-        let for_tables = bytes / TABLES_SHARE;
-        let for_labels = for_tables / 2;
+        let for_labels = bytes / LABELS_SHARE;
+        let for_classifications = bytes / 16 * CLASSIFICATIONS_SIXTEENTHS;
         let shadows_room = bytes / SHADOWS_SHARE;
-        let room = bytes - for_tables - shadows_room;
+        let room = bytes - for_labels - for_classifications - shadows_room;
         let classifications = Cache::builder()
             .weigher(|key: &Arc<str>, asked: &Arc<Asked>| kib(key.len() as u64 + asked.classification.bytes()))
-            .max_capacity((for_tables - for_labels) / 1024)
+            .max_capacity(for_classifications / 1024)
             .eviction_policy(EvictionPolicy::lru())
             .build();
         let labels = Cache::builder()

@@ -87,7 +87,7 @@ impl LoadedVolume {
         let levels: Vec<_> = finer_first.take(count).map(PreparedVolume::build).collect();
         // Made when asked for; no frame shall wait for them.
         for level in &levels {
-            level.normals();
+            level.normals(2);
         }
         Self { levels, histogram, presets, fingerprint }
     }

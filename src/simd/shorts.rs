@@ -41,9 +41,9 @@ pub trait Shorts: Masks {
         touched: u64,
     ) -> u64;
 
-    /// Lights premultiplied colours and opacities, of which there is one for each of the lowest bits set in `marked`, and leaves them
-    /// where those bits are; elsewhere is nothing.
-    fn shade(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR];
+    /// Lights premultiplied colours and opacities and leaves them where the lowest bits of `marked` are set; elsewhere is nothing. Those of
+    /// which something is left are where they are to be or, if they are `PACKED`, one after the other.
+    fn shade<const PACKED: bool>(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR];
 }
 
 /// The product of two fractions.
@@ -119,12 +119,13 @@ impl Shorts for Portable {
     }
 
     #[inline(always)]
-    fn shade(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR] {
+    fn shade<const PACKED: bool>(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR] {
         let mut shaded = [Short::CLEAR; FOUR];
         let mut next = 0;
         for (n, shaded) in shaded.iter_mut().enumerate() {
             if marked >> n & 1 == 1 {
-                *shaded = entries[next].lit(lights[next]);
+                let from = if PACKED { next } else { n };
+                *shaded = entries[from].lit(lights[from]);
                 next += 1;
             }
         }
@@ -218,7 +219,7 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn shade(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR] {
+        fn shade<const PACKED: bool>(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR] {
             // SAFETY: whoever takes this way has found AVX2. Tables have an entry for every four bits.
             unsafe {
                 let [a, b, c, d]: [i64; FOUR] = bytemuck::cast(entries);
@@ -238,13 +239,15 @@ mod avx2 {
                 let added = _mm256_mulhrs_epi16(opacity, _mm256_shuffle_epi8(lights, addend_of_each));
                 let half = _mm256_adds_epi16(factored, added);
                 let lit = _mm256_min_epi16(_mm256_adds_epi16(half, half), opacity);
-                let shaded = _mm256_blend_epi16::<0b1000_1000>(lit, opacity);
+                let mut shaded = _mm256_blend_epi16::<0b1000_1000>(lit, opacity);
                 let lanes = &LANES[marked as usize % 16];
-                let spread = _mm256_loadu_si256(lanes.spread.as_ptr().cast());
+                if PACKED {
+                    let spread = _mm256_loadu_si256(lanes.spread.as_ptr().cast());
+                    shaded = _mm256_permutevar8x32_epi32(shaded, spread);
+                }
                 let set = _mm256_loadu_si256(lanes.set.as_ptr().cast());
                 let mut out = [Short::CLEAR; FOUR];
-                let spread = _mm256_and_si256(_mm256_permutevar8x32_epi32(shaded, spread), set);
-                _mm256_storeu_si256(out.as_mut_ptr().cast(), spread);
+                _mm256_storeu_si256(out.as_mut_ptr().cast(), _mm256_and_si256(shaded, set));
                 out
             }
         }
@@ -277,8 +280,9 @@ mod tests {
             let done = by(&mut pixels, rows, weights, *limit, *touched);
             (pixels.to_vec(), done)
         };
-        let shaded = W::shade(*pixels, *lights, *touched).to_vec();
-        vec![blend(W::blend::<true>), blend(W::blend::<false>), (shaded, 0)]
+        let packed = W::shade::<true>(*pixels, *lights, *touched).to_vec();
+        let in_place = W::shade::<false>(*pixels, *lights, *touched).to_vec();
+        vec![blend(W::blend::<true>), blend(W::blend::<false>), (packed, 0), (in_place, 0)]
     }
 
     struct Both<'a>(&'a Steps);
@@ -337,10 +341,12 @@ mod tests {
         #[test]
         fn shaded_voxels_come_to_where_they_are_marked(steps in steps()) {
             let mut next = 0;
-            let shaded = Portable::shade(steps.pixels, steps.lights, steps.touched);
-            for (n, shaded) in shaded.into_iter().enumerate() {
+            let packed = Portable::shade::<true>(steps.pixels, steps.lights, steps.touched);
+            let in_place = Portable::shade::<false>(steps.pixels, steps.lights, steps.touched);
+            for (n, (shaded, in_place)) in packed.into_iter().zip(in_place).enumerate() {
                 let is_marked = steps.touched >> n & 1 == 1;
                 prop_assert_eq!(shaded, if is_marked { steps.pixels[next].lit(steps.lights[next]) } else { Short::CLEAR });
+                prop_assert_eq!(in_place, if is_marked { steps.pixels[n].lit(steps.lights[n]) } else { Short::CLEAR });
                 next += usize::from(is_marked);
             }
         }

@@ -377,8 +377,9 @@ mod tests {
                     assert_eq!(block.map(|g| g[n].to_bits()), alone.map(f32::to_bits), "at {at:?}");
                     let normal = encode_normal(alone[0], alone[1], alone[2]);
                     assert_eq!(normals(&block)[n], normal);
-                    let [nx, ny, _] = prepared.volume().dims();
-                    assert_eq!(prepared.normals()[(at[2] * ny + at[1]) * nx + at[0]], normal);
+                    let [x, y, z] = at;
+                    assert_eq!(prepared.normals(2).row(y, z)[x], normal);
+                    assert_eq!(prepared.normals(0).row(z, x)[y], normal);
                 }
             }
         }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::gradient::{GradientFrame, quantized_normals};
 use super::octree::MinMaxOctree;
-use super::scanlines::{AnyScanlines, Scanlines, turned};
+use super::scanlines::{AnyScanlines, Scanlines, turn, turned};
 use super::{Scalars, Volume};
 
 /// How long the structures took.
@@ -27,8 +27,8 @@ pub struct PreparedVolume {
     octree: MinMaxOctree,
     /// The octree with ranges of gradient magnitude, and how long those took.
     gradient_octree: OnceLock<(MinMaxOctree, Duration)>,
-    /// Codes of the normals, and how long they took.
-    normals: OnceLock<(Vec<u16>, Duration)>,
+    /// Codes of the normals, as they are and with y running fastest, and how long they took.
+    normals: OnceLock<([Vec<u16>; 2], Duration)>,
     timings: PrepareTimings,
 }
 
@@ -65,15 +65,20 @@ impl PreparedVolume {
         once(&self.gradient_octree, || self.octree.with_gradients(&self.volume, self.scanlines(2)))
     }
 
-    /// Codes of the normals ([`super::gradient`]), x fastest; found on the current rayon pool when first asked
-    /// for.
-    pub fn normals(&self) -> &[u16] {
-        let frame = GradientFrame::new(self.volume.placement(), self.volume.rescale().0);
-        let normals: &Vec<u16> = once(&self.normals, || match self.scanlines(2) {
-            AnyScanlines::U8(scanlines) => quantized_normals(scanlines, &frame),
-            AnyScanlines::U16(scanlines) => quantized_normals(scanlines, &frame),
+    /// Codes of the normals ([`super::gradient`]) as the principal axis `axis` walks them; found on the current rayon pool when first
+    /// asked for.
+    pub fn normals(&self, axis: usize) -> Scanlines<'_, u16> {
+        let dims @ [nx, ny, _] = self.volume.dims();
+        let [normals, turned] = once(&self.normals, || {
+            let frame = GradientFrame::new(self.volume.placement(), self.volume.rescale().0);
+            let normals = match self.scanlines(2) {
+                AnyScanlines::U8(scanlines) => quantized_normals(scanlines, &frame),
+                AnyScanlines::U16(scanlines) => quantized_normals(scanlines, &frame),
+            };
+            let turned = turn(&normals, nx, ny);
+            [normals, turned]
         });
-        normals
+        Scanlines::new(if axis == 0 { turned } else { normals }, dims, axis)
     }
 
     /// How long the structures took.
@@ -86,7 +91,8 @@ impl PreparedVolume {
     /// Bytes in memory, by structure: `volume` (with the second copy), `octree`, `gradients`.
     pub fn bytes(&self) -> [(&'static str, u64); 3] {
         let ranges = self.gradient_octree.get().map_or(0, |(octree, _)| octree.bytes());
-        let normals = self.normals.get().map_or(0, |(normals, _)| size_of_val(&normals[..]) as u64);
+        let normals =
+            self.normals.get().map_or(0, |(both, _)| both.iter().map(|normals| size_of_val(&normals[..]) as u64).sum());
         let colors = self.volume.colors().map_or(0, |colors| size_of_val(&colors.voxels[..]));
         [
             ("volume", (self.volume.scalars().bytes() + self.turned.bytes() + colors) as u64),

@@ -164,10 +164,30 @@ impl<'a, T> Scanlines<'a, T> {
         &self.codes[j * self.strides[0] + k * self.strides[1]..][..self.dims[0]]
     }
 
+    /// Four voxels of a scanline from (i, j, k) on, its last one repeated past its end.
+    #[inline(always)]
+    pub fn four(&self, [i, j, k]: [usize; 3]) -> [T; 4]
+    where
+        T: Copy,
+    {
+        let row = self.row(j, k);
+        match row.get(i..).and_then(<[T]>::first_chunk) {
+            Some(four) => *four,
+            None => at_the_end(row, i),
+        }
+    }
+
     /// How many scanlines are stored before scanline `j` of slice `k`.
     pub fn place(&self, j: usize, k: usize) -> usize {
         (j * self.strides[0] + k * self.strides[1]) / self.dims[0]
     }
+}
+
+/// The same where fewer than four are left. On its own, so that the usual four are loaded as one.
+#[cold]
+#[inline(never)]
+fn at_the_end<T: Copy>(row: &[T], first: usize) -> [T; 4] {
+    [0, 1, 2, 3].map(|n| row[(first + n).min(row.len() - 1)])
 }
 
 /// [`Scanlines`] of either type of code.

@@ -1,21 +1,20 @@
 //! From a volume's scanlines to the run-length encoded volume.
 //!
-//! Encoding touches voxels only in leaves that octree and summed-area table cannot rule out. It marks
-//! the non-transparent voxels of a plane as bits, turns the bits for the second order, and computes the
-//! normals of the marked voxels, eight at a time. The voxels are dealt out to both orders in one
+//! Encoding begins with the marks of the [visible voxels](crate::classify::visible), less those of which a gradient
+//! opacity leaves nothing, and computes the normals of the marked voxels, eight at a time. The voxels are dealt out to both orders in one
 //! pass: walked along x, the next voxel of a column follows the one before, so that each column only
 //! needs to know its next place. Planes are independent and spread over the pool.
 
 use rayon::prelude::*;
 
 use super::{MORE, Plane, RunLengthVolume, Voxel};
-use crate::classify::marks::{OccupiedWords, VisibleCodes, WORD, turn, words};
+use crate::classify::marks::{WORD, turn, words};
 use crate::classify::tables::CodeTables;
 use crate::classify::transfer::TransferFunction;
+use crate::classify::visible::VisibleVoxels;
 use crate::simd::{self, Kernel};
 use crate::volume::PreparedVolume;
 use crate::volume::gradient::{BLOCK, Code, GradientFrame, Gradients, magnitudes, normals};
-use crate::volume::octree::leaf_of;
 use crate::volume::scanlines::{AnyScanlines, Scanlines};
 
 const _: () = assert!(BLOCK == 8, "a block's marks are a byte");
@@ -25,13 +24,13 @@ pub fn encode(
     prepared: &PreparedVolume,
     tables: &CodeTables,
     transfer: &TransferFunction,
-    occupied: &[bool],
+    visible: &VisibleVoxels,
 ) -> RunLengthVolume {
     let volume = prepared.volume();
     let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
     match prepared.scanlines(2) {
-        AnyScanlines::U8(scanlines) => Encoder::new(scanlines, &frame, tables, transfer, occupied).encode(),
-        AnyScanlines::U16(scanlines) => Encoder::new(scanlines, &frame, tables, transfer, occupied).encode(),
+        AnyScanlines::U8(scanlines) => Encoder::new(scanlines, &frame, tables, transfer, visible).encode(),
+        AnyScanlines::U16(scanlines) => Encoder::new(scanlines, &frame, tables, transfer, visible).encode(),
     }
 }
 
@@ -40,10 +39,9 @@ struct Encoder<'a, T> {
     scanlines: Scanlines<'a, T>,
     gradients: Gradients<'a, T>,
     tables: &'a CodeTables,
-    visible: VisibleCodes<T>,
     /// Where opacity depends on the gradient.
     transfer: Option<&'a TransferFunction>,
-    occupied: &'a [bool],
+    visible: &'a VisibleVoxels,
 }
 
 impl<'a, T: Code> Encoder<'a, T> {
@@ -52,15 +50,14 @@ impl<'a, T: Code> Encoder<'a, T> {
         frame: &GradientFrame,
         tables: &'a CodeTables,
         transfer: &'a TransferFunction,
-        occupied: &'a [bool],
+        visible: &'a VisibleVoxels,
     ) -> Self {
         Self {
             scanlines,
             gradients: Gradients::new(scanlines, frame),
             tables,
-            visible: VisibleCodes::new(tables.extinction.iter().map(|tau| *tau > 0.0)),
             transfer: Some(transfer).filter(|transfer| !transfer.gradient_opacity.is_empty()),
-            occupied,
+            visible,
         }
     }
 
@@ -84,13 +81,16 @@ impl<T: Code> Kernel for EncodePlane<'_, T> {
     #[inline(always)]
     fn run(self) -> (Plane, Plane) {
         let [nx, ny, _] = self.encoder.scanlines.dims();
-        let (mut marked, mut turned) = (vec![0; words(nx) * ny + MORE], vec![0; words(ny) * nx + MORE]);
-        let (rows, columns) = (&mut marked[..words(nx) * ny], &mut turned[..words(ny) * nx]);
-        self.mark(rows);
-        let factors = self.encoder.transfer.map(|transfer| self.apply_gradient_opacity(transfer, rows));
-        turn(rows, [nx, ny], columns);
-        let mut along_x = Plane::of_marks(marked, words(nx));
-        let mut along_y = Plane::of_marks(turned, words(ny));
+        let [mut rows, mut columns] = self.encoder.visible.plane(self.z).map(|marks| [marks, &[0; MORE]].concat());
+        let factors = self.encoder.transfer.map(|transfer| {
+            let (rows, columns) = (&mut rows[..words(nx) * ny], &mut columns[..words(ny) * nx]);
+            let factors = self.apply_gradient_opacity(transfer, rows);
+            columns.fill(0);
+            turn(rows, [nx, ny], columns);
+            factors
+        });
+        let mut along_x = Plane::of_marks(rows, words(nx));
+        let mut along_y = Plane::of_marks(columns, words(ny));
         self.deal(&mut along_x, &mut along_y);
         if let Some(factors) = factors {
             along_x.gather(|y, x| factors[y * nx + x]);
@@ -101,23 +101,6 @@ impl<T: Code> Kernel for EncodePlane<'_, T> {
 }
 
 impl<T: Code> EncodePlane<'_, T> {
-    /// Marks the voxels whose code is visible, rows along x.
-    #[inline(always)]
-    fn mark(&self, marked: &mut [u64]) {
-        let Encoder { scanlines, visible, occupied, .. } = self.encoder;
-        let dims @ [nx, ny, _] = scanlines.dims();
-        let mut occupied = OccupiedWords::new(occupied, dims, self.z);
-        for (y, marked) in marked.chunks_exact_mut(words(nx)).enumerate() {
-            let row = scanlines.row(y, self.z);
-            let occupied = occupied.of_row(leaf_of(y, ny));
-            for (word, (marked, occupied)) in marked.iter_mut().zip(occupied).enumerate() {
-                if *occupied {
-                    *marked = visible.mark_voxels(row, word * WORD);
-                }
-            }
-        }
-    }
-
     /// Finds the marked voxels' gradient opacities, 255 = 1 (by `y * nx + x`, of others anything), and takes
     /// the marks of those that it makes transparent.
     #[inline(always)]
@@ -307,7 +290,8 @@ mod tests {
         let octree = octree_for(prepared, transfer);
         let summed_area = SummedAreaTable::new(&tables, transfer, octree);
         let occupied = octree.occupied_leaves(|range| summed_area.is_transparent(range));
-        let encoding = RunLengthVolume::encode(prepared, &tables, transfer, &occupied);
+        let visible = VisibleVoxels::new(prepared, &tables, &occupied);
+        let encoding = RunLengthVolume::encode(prepared, &tables, transfer, &visible);
         let mut filled = 0;
         for axis in 0..3 {
             let (axes, dims) = match prepared.scanlines(axis) {

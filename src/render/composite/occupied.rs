@@ -4,8 +4,7 @@
 //! A leaf's answer serves all scanlines that pass through it, so the flags of a row of leaves become
 //! words once and adjacent scanlines share them (Lacroute and Levoy 1994, section 3.3).
 
-use crate::classify::cells::{AxisCells, WORD, words};
-use crate::classify::rle::MORE;
+use crate::classify::marks::{AxisMarks, WORD, words};
 use crate::classify::{Classification, Encodings};
 use crate::render::factorization::Factorization;
 use crate::volume::octree::{LEAF, leaf_of, leaves_along};
@@ -13,7 +12,7 @@ use crate::volume::octree::{LEAF, leaf_of, leaves_along};
 /// A bit for every cell of a scanline: clear only where nothing shows.
 #[derive(Clone, Debug)]
 pub enum Occupied<'a> {
-    Cells(AxisCells<'a>),
+    Cells(AxisMarks<'a>),
     Leaves(LeafRows),
 }
 
@@ -58,8 +57,8 @@ impl LeafRows {
         let strides = factorization.strides(factorization.dims.map(leaves_along));
         let (rows, words) = (leaves_along(nj), words(ni));
         let count = rows * leaves_along(nk) * words;
-        let mut bits = vec![0; count + MORE];
-        for (row, bits) in bits[..count].chunks_exact_mut(words).enumerate() {
+        let mut bits = vec![0; count];
+        for (row, bits) in bits.chunks_exact_mut(words).enumerate() {
             let first = row % rows * strides[1] + row / rows * strides[2];
             let last = leaves_along(ni) - 1;
             for leaf in (0..=last).filter(|leaf| occupied[first + leaf * strides[0]]) {
@@ -73,22 +72,10 @@ impl LeafRows {
         Self { bits, words, rows, dims: [nj, nk] }
     }
 
-    /// Scanlines of voxels in a slice.
-    #[inline(always)]
-    pub fn scanlines(&self) -> usize {
-        self.dims[0]
-    }
-
     /// The voxels (or cells) of scanline `j` of slice `k`. Bits past the scanline's end may be set.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> &[u64] {
-        &self.scanline_and_more(j, k)[..self.words]
-    }
-
-    /// The same and what follows: at least [`MORE`] words.
-    #[inline(always)]
-    pub fn scanline_and_more(&self, j: usize, k: usize) -> &[u64] {
         let row = leaf_of(k, self.dims[1]) * self.rows + leaf_of(j, self.dims[0]);
-        &self.bits[row * self.words..]
+        &self.bits[row * self.words..][..self.words]
     }
 }

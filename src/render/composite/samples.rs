@@ -23,7 +23,7 @@ use glam::Vec4;
 use super::WORD;
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
-use super::sources::{Stored, StoredNormals};
+use super::sources::Stored;
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, SlicePlacement};
@@ -33,9 +33,6 @@ use crate::render::simd::{self, Kernel, prefetch};
 use crate::volume::Volume;
 use crate::volume::gradient::{Code, GradientFrame, Gradients, magnitudes, normals};
 use crate::volume::scanlines::Scanlines;
-
-/// Voxels that are classified at once.
-pub const BLOCK: usize = 8;
 
 /// Voxels that become samples at once.
 const QUAD: usize = 4;
@@ -47,7 +44,7 @@ pub enum VoxelLight<'a> {
     /// Factor and addend by code of the normal.
     ByNormal {
         shades: &'a [[f32; 2]],
-        normals: StoredNormals<'a>,
+        normals: Scanlines<'a, u16>,
     },
     /// Along the ray that each is seen by.
     ByRay(&'a RayLight),
@@ -101,8 +98,10 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         let ahead = if matches!(self.light, VoxelLight::ByRay(_)) { 2 } else { 1 };
         let next = if self.reversed { k.checked_sub(ahead) } else { Some(k + ahead).filter(|&k| k < self.dims[2]) };
         let Some(next) = next else { return };
-        if let VoxelLight::ByNormal { normals, .. } = self.light {
-            normals.prefetch([voxels.start, j, next], voxels.len());
+        if let VoxelLight::ByNormal { normals, .. } = self.light
+            && let Some(normals) = normals.row(j, next).get(voxels.clone())
+        {
+            prefetch(normals);
         }
         if let Some(codes) = self.scanlines.row(j, next).get(voxels) {
             prefetch(codes);
@@ -113,7 +112,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     /// its last voxel is repeated.
     #[inline(always)]
     fn quad(&self, [first, j, k]: [usize; 3]) -> [Vec4; QUAD] {
-        let codes = four(self.scanlines.row(j, k), first);
+        let codes = self.four([first, j, k]);
         let ([mut factor, mut addend], mut density) = (self.light(&self.light, [first, j, k]), [1.0; QUAD]);
         if let Some((light, lacking)) = &self.shadow {
             let without = self.light(light, [first, j, k]);
@@ -130,7 +129,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         }
         let mut samples = [Vec4::ZERO; QUAD];
         for n in 0..QUAD {
-            samples[n] = Vec4::new(codes[n], factor[n], addend[n], density[n]);
+            samples[n] = Vec4::new(codes[n].as_f32(), factor[n], addend[n], density[n]);
         }
         samples
     }
@@ -162,21 +161,10 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         self.scanlines.row(j, k)
     }
 
-    /// Codes of eight voxels, the scanline's last one repeated past its end.
+    /// Codes of four voxels from (i, j, k) on, the scanline's last one repeated past its end.
     #[inline(always)]
-    pub fn codes(&self, j: usize, k: usize, first: usize) -> [u16; BLOCK] {
-        let row = self.scanlines.row(j, k);
-        let mut codes = [0; BLOCK];
-        if let Some(whole) = row.get(first..first + BLOCK) {
-            for n in 0..BLOCK {
-                codes[n] = whole[n].into();
-            }
-        } else {
-            for (n, code) in codes.iter_mut().enumerate() {
-                *code = row[(first + n).min(row.len() - 1)].into();
-            }
-        }
-        codes
+    pub fn four(&self, at: [usize; 3]) -> [T; QUAD] {
+        self.scanlines.four(at)
     }
 
     /// True where the gradient has an influence on opacity.
@@ -248,23 +236,6 @@ impl<T: Code> Kernel for Fetch<'_, '_, T> {
             }
         }
     }
-}
-
-/// Four codes from `first` on, the last one repeated.
-#[inline(always)]
-fn four<T: Code>(row: &[T], first: usize) -> [f32; QUAD] {
-    let [a, b, c, d] = match row.get(first..).and_then(<[T]>::first_chunk) {
-        Some(four) => *four,
-        None => at_the_end(row, first),
-    };
-    [a.as_f32(), b.as_f32(), c.as_f32(), d.as_f32()]
-}
-
-/// The same where fewer than four are left. On its own, so that the usual four are loaded as one.
-#[cold]
-#[inline(never)]
-fn at_the_end<T: Code>(row: &[T], first: usize) -> [T; QUAD] {
-    [0, 1, 2, 3].map(|n| row[(first + n).min(row.len() - 1)])
 }
 
 /// Where a slice of samples lies: on a slice of voxels or between two.

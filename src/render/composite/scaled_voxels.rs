@@ -35,6 +35,8 @@ pub struct Scratch {
     length: usize,
     /// Voxel scanlines, j always in the same place.
     rows: Vec<Row<Vec4>>,
+    /// Voxels that any of them marks, of those with a weight.
+    marked: Vec<u64>,
     columns: Columns,
     /// Weights of the scanlines under one of pixels.
     weights: Vec<f32>,
@@ -54,8 +56,6 @@ struct Place<'a> {
     along_u: Footprint,
     /// Pixels that lie on the slice.
     us: Range<usize>,
-    /// The first voxel scanline under it.
-    first: usize,
     v: usize,
     k: usize,
 }
@@ -68,6 +68,7 @@ impl VoxelLattice<Vec4> for Scaled {
         Scratch {
             length,
             rows: vec![],
+            marked: vec![0; length.div_ceil(WORD)],
             columns: Columns::default(),
             weights: vec![],
             sum: vec![Vec4::ZERO; length],
@@ -106,8 +107,8 @@ impl VoxelLattice<Vec4> for Scaled {
         let material = voxels.material.slice(f.share(k));
         let cue = voxels.cue.map(|cue| cue.slice(k as f64));
         scratch.enter_slice(along_v.taps());
-        // The same scanlines of the next slice are asked for once this one's have work.
-        let (ahead, mut asked) = (slices_ahead(f, k), 0);
+        let ahead = slices_ahead(f, k);
+        let next = ahead.map_or(k, |[next, _]| next);
         for v in vs {
             let (first, taps) = (along_v.first(v), along_v.taps());
             if taps < WORD && voxels.source.shown(first, taps, k) == 0 {
@@ -124,21 +125,11 @@ impl VoxelLattice<Vec4> for Scaled {
             let row = v - band.first;
             let mut scanline = band.scanline(row);
             scratch.clipped.enter_scanline(f, v, f.interval(k));
-            let at = Place { factorization: f, along_u, us: us.clone(), first, v, k };
+            let at = Place { factorization: f, along_u, us: us.clone(), v, k };
             if !scratch.find(&at, &mut scanline) {
                 continue;
             }
-            if V::CLASSIFIES {
-                scratch.classify(voxels.source, first, k);
-                if !scratch.find(&at, &mut scanline) {
-                    continue;
-                }
-            }
-            if let Some([ahead, _]) = ahead {
-                (asked.max(first)..first + taps).for_each(|j| voxels.source.prefetch(j, ahead));
-                asked = first + taps;
-            }
-            scratch.shade::<W, V, _>(voxels.source, first, k, material);
+            scratch.shade::<W, V, _>(voxels.source, first, [k, next], material);
             let finish = |sample: Vec4, u, length, clipped: &ClippedPixels| {
                 let left = if clipped.is_any() { voxels.left(u, v, k, clipped) } else { None };
                 let of_length = if M::Slice::PAINTED {
@@ -164,18 +155,23 @@ impl Scratch {
         self.rows.iter_mut().for_each(|row| row.j = None);
     }
 
-    /// Enters the scanlines from `first` on of slice `k`; false where none has anything.
+    /// Enters the scanlines from `first` on of slice `k`; false where none of those with a weight has anything.
     #[inline(always)]
     fn enter_rows<V: VoxelSource>(&mut self, source: V, first: usize, k: usize) -> bool {
         let count = self.rows.len();
-        let mut any = false;
-        for j in first..first + self.weights.len() {
-            let scanline = source.scanline(j, k);
-            let row = &mut self.rows[j % count];
-            row.enter_marked(source, j, &scanline);
-            any |= row.marked.iter().any(|&marks| marks != 0);
+        let mut any = 0;
+        self.marked.fill(0);
+        for (j, &weight) in (first..).zip(&self.weights) {
+            self.rows[j % count].enter(j);
+            if weight > 0.0 {
+                let scanline = source.scanline(j, k);
+                for (marked, marks) in self.marked.iter_mut().zip(source.marks(&scanline)) {
+                    *marked |= marks;
+                    any |= marks;
+                }
+            }
         }
-        any
+        any != 0
     }
 
     /// Finds the pixels over marked voxels that are not opaque and not clipped away, and the voxels under them;
@@ -183,12 +179,8 @@ impl Scratch {
     #[inline(always)]
     fn find(&mut self, at: &Place<'_>, scanline: &mut ScanlineMut<'_, Vec4>) -> bool {
         self.pixels.clear();
-        let count = self.rows.len();
-        for word in 0..self.length.div_ceil(WORD) {
-            let mut marked = 0;
-            for (j, &weight) in (at.first..).zip(&self.weights) {
-                marked |= if weight > 0.0 { self.rows[j % count].marked[word] } else { 0 };
-            }
+        for word in 0..self.marked.len() {
+            let mut marked = self.marked[word];
             while marked != 0 {
                 let (start, length) = first_run(marked);
                 marked &= !run_mask(start, length);
@@ -212,29 +204,20 @@ impl Scratch {
         any
     }
 
-    /// Takes back the marks of touched voxels that are not drawn.
-    #[inline(always)]
-    fn classify<V: VoxelSource>(&mut self, source: V, first: usize, k: usize) {
-        let count = self.rows.len();
-        for j in first..first + self.weights.len() {
-            self.rows[j % count].classify(source, &source.scanline(j, k), (&self.asked, 0..self.asked.len()));
-        }
-    }
-
     /// Shades the touched voxels.
     #[inline(always)]
     fn shade<W: Shorts, V: VoxelSource, M: SliceShader<Pixel = Vec4>>(
         &mut self,
         source: V,
         first: usize,
-        k: usize,
+        [k, next]: [usize; 2],
         material: M,
     ) {
         let count = self.rows.len();
         for (j, _) in (first..).zip(&self.weights).filter(|(_, weight)| **weight > 0.0) {
             let (row, scanline) = (&mut self.rows[j % count], source.scanline(j, k));
             for (word, asked) in self.asked.iter().enumerate().filter(|(_, asked)| **asked != 0) {
-                row.shade::<W, V, M>(source, &scanline, (word, *asked), k, material);
+                row.shade::<W, V, M>(source, (&scanline, source.ahead(j, next)), (word, *asked), k, material);
             }
         }
     }

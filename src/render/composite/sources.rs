@@ -1,36 +1,41 @@
-//! Where the kernel of voxels gets them from: run-length encoded, or unencoded and classified as they
-//! are drawn.
+//! Where the kernel of voxels gets them from: run-length encoded, or as the volume has them.
 //!
-//! Both give the same voxels, the first without looking at transparent ones (Lacroute and Levoy 1994,
-//! section 3.1), the second without having been prepared for the transfer function (section 3.3): it marks all
-//! of a leaf's voxels where the leaf may hold something to draw, and asks each that a pixel touches
-//! whether it is transparent. Frames of either are the same bit for bit, so that one stands in for the other
-//! as long as there is no encoding ("switch modes").
+//! Both give the same voxels without looking at transparent ones, the first from an encoding (Lacroute and Levoy 1994,
+//! section 3.1), the second with little that has been prepared for the transfer function (section 3.3): it knows which voxels are
+//! visible, and reads code and normal of each where the volume has them. Frames of either are the same bit for bit, so that one stands in
+//! for the other as long as there is no encoding ("switch modes").
 
-use super::occupied::LeafRows;
-use super::samples::{BLOCK, VoxelRows};
-use super::{WORD, below};
+use super::WORD;
+use super::samples::VoxelRows;
 use crate::classify::CodeTables;
-use crate::classify::rle::{AxisEncoding, MORE, Scanline, Voxel};
+use crate::classify::rle::{AxisEncoding, Scanline, Voxel};
+use crate::classify::visible::AxisVisible;
 use crate::render::factorization::Factorization;
-use crate::render::material::{SliceShader, VoxelWord};
-use crate::render::simd::prefetch;
-use crate::render::simd::shorts::Shorts;
+use crate::render::material::{SliceShader, VoxelWord, before};
+use crate::render::simd::prefetch_at;
+use crate::render::simd::shorts::FOUR;
 use crate::volume::gradient::Code;
+use crate::volume::scanlines::Scanlines;
 
 /// Voxels by scanline.
 pub trait VoxelSource: Copy + Send + Sync {
     /// A scanline, found.
     type Scanline: Copy;
 
-    /// True where marked voxels may turn out to be transparent when [`Self::classify`] is asked.
-    const CLASSIFIES: bool;
+    /// Where voxels are that will be asked for.
+    type Ahead: Copy;
+
+    /// Where the marked voxels of a word of a scanline are.
+    type Word: Copy;
+
+    /// True where these are stored one after the other, false where they are among all of the scanline's.
+    const PACKED: bool;
 
     /// Scanline `j` of slice `k`.
     fn scanline(&self, j: usize, k: usize) -> Self::Scanline;
 
-    /// Asks for what scanline `j` of slice `k` will need.
-    fn prefetch(&self, j: usize, k: usize);
+    /// Where the voxels of scanline `j` of slice `k` begin, the one that is walked next.
+    fn ahead(&self, j: usize, k: usize) -> Self::Ahead;
 
     /// Asks for what tells where scanline `j` of slice `k` is.
     fn prefetch_place(&self, j: usize, k: usize);
@@ -38,31 +43,59 @@ pub trait VoxelSource: Copy + Send + Sync {
     /// Which of up to 64 scanlines from `j` on of slice `k`, as far as there are any, have a mark; a bit each.
     fn shown(&self, j: usize, count: usize, k: usize) -> u64;
 
-    /// The bits of voxels that may be drawn, and [`MORE`] words.
+    /// The bits of voxels that may be drawn, and [`MORE`](crate::classify::rle::MORE) words.
     fn marks<'s>(&self, scanline: &'s Self::Scanline) -> &'s [u64];
 
-    /// Which of the eight voxels of a block are drawn, a bit each.
-    fn classify(&self, scanline: &Self::Scanline, block: usize) -> u64;
+    /// Where the voxels of a word of a scanline are, and those of the same scanline of the slice `ahead`.
+    fn word(&self, scanline: &Self::Scanline, word: usize, ahead: Self::Ahead) -> Self::Word;
 
-    /// Shades voxels of a word of scanline j of slice k: every aligned four whose first bit is `asked` for. Those that are not in the word's
-    /// `marks` come out as zero.
-    fn shade<W: Shorts, M: SliceShader>(
-        &self,
-        scanline: &Self::Scanline,
-        word_and_marks: (usize, u64),
+    /// Four voxels, from voxel `at` of a word on: where they are stored one after the other those of them that are marked and then any. Asks for
+    /// those that lie behind them.
+    fn four(&self, word: &VoxelWord<Self::Word>, at: usize) -> [Voxel; FOUR];
+
+    /// Voxels of a word one after the other, at least those that are marked and `asked` for; the marks of these voxels; and their gradient
+    /// opacity (255 = 1, 0 where a voxel is not drawn), where that plays a part.
+    fn packed<'s, M: SliceShader>(
+        &'s self,
+        word: &'s VoxelWord<Self::Word>,
         asked: u64,
-        out: &mut [M::Pixel; WORD],
-        j_and_k: [usize; 2],
-        material: M,
-    );
+        gathered: &'s mut Gathered,
+    ) -> (u64, &'s [Voxel], &'s [u8]);
 
     /// Voxel (i, j, k) and its gradient opacity (255 = 1), the plain way; `None` where it is not drawn.
     fn voxel(&self, at: [usize; 3]) -> Option<(Voxel, u8)>;
 }
 
+/// Voxels of a word that are stored one after the other.
+#[derive(Clone, Copy, Debug)]
+pub struct StoredWord<'a> {
+    /// And at least [`MORE`](crate::classify::rle::MORE) of anything.
+    voxels: &'a [Voxel],
+    /// Their gradient opacity.
+    factors: &'a [u8],
+    /// So many of the scanline are before them.
+    before: usize,
+    ahead: &'a [Voxel],
+}
+
+/// Voxels of a word that are not stored one after the other.
+#[derive(Debug)]
+pub struct Gathered {
+    voxels: [Voxel; WORD],
+    factors: [u8; WORD],
+}
+
+impl Default for Gathered {
+    fn default() -> Self {
+        Self { voxels: [Voxel { code: 0, normal: 0 }; WORD], factors: [u8::MAX; WORD] }
+    }
+}
+
 impl<'a> VoxelSource for AxisEncoding<'a> {
     type Scanline = Scanline<'a>;
-    const CLASSIFIES: bool = false;
+    type Ahead = &'a [Voxel];
+    type Word = StoredWord<'a>;
+    const PACKED: bool = true;
 
     #[inline(always)]
     fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {
@@ -70,9 +103,8 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
     }
 
     #[inline(always)]
-    fn prefetch(&self, j: usize, k: usize) {
-        let scanline = AxisEncoding::scanline(self, j, k);
-        prefetch(scanline.voxels());
+    fn ahead(&self, j: usize, k: usize) -> &'a [Voxel] {
+        AxisEncoding::scanline(self, j, k).voxels_and_more()
     }
 
     #[inline(always)]
@@ -91,22 +123,33 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
     }
 
     #[inline(always)]
-    fn classify(&self, _: &Scanline<'a>, _: usize) -> u64 {
-        u64::MAX
+    fn word(&self, scanline: &Scanline<'a>, word: usize, ahead: &'a [Voxel]) -> StoredWord<'a> {
+        let before = scanline.before(word);
+        let (voxels, factors) = scanline.from(before);
+        StoredWord { voxels, factors, before, ahead }
     }
 
     #[inline(always)]
-    fn shade<W: Shorts, M: SliceShader>(
-        &self,
-        scanline: &Scanline<'a>,
-        (word, marks): (usize, u64),
-        asked: u64,
-        out: &mut [M::Pixel; WORD],
-        [j, k]: [usize; 2],
-        material: M,
-    ) {
-        let (voxels, factors) = scanline.word(word);
-        material.word::<W>(&VoxelWord { marks, voxels, factors, at: [word * WORD, j, k] }, asked, out);
+    fn four(&self, word: &VoxelWord<Self::Word>, at: usize) -> [Voxel; FOUR] {
+        let (before, StoredWord { voxels, ahead, before: of_scanline, .. }) = (before(word.marks, at), word.voxels);
+        // There are about as many before them: whatever shows here does so a slice on.
+        prefetch_at(ahead, of_scanline + before);
+        let Some(four) = voxels.get(before..before + FOUR).and_then(<[_]>::first_chunk) else {
+            unreachable!("there are more than are drawn")
+        };
+        *four
+    }
+
+    #[inline(always)]
+    fn packed<'s, M: SliceShader>(
+        &'s self,
+        word: &'s VoxelWord<Self::Word>,
+        _: u64,
+        _: &'s mut Gathered,
+    ) -> (u64, &'s [Voxel], &'s [u8]) {
+        let StoredWord { voxels, factors, before, ahead } = word.voxels;
+        prefetch_at(ahead, before);
+        (word.marks, voxels, factors)
     }
 
     fn voxel(&self, [i, j, k]: [usize; 3]) -> Option<(Voxel, u8)> {
@@ -116,12 +159,12 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
         if word >> at & 1 == 0 {
             return None;
         }
-        let ((voxels, factors), before) = (scanline.word(i / WORD), (word & ((1 << at) - 1)).count_ones() as usize);
+        let ((voxels, factors), before) = (scanline.word(i / WORD), before(word, at));
         Some((voxels[before], factors.get(before).copied().unwrap_or(u8::MAX)))
     }
 }
 
-/// The volume's normals or colours as one principal axis walks them. There is no copy with scanlines along y: their
+/// What else there is of voxels, colours or labels say, as one principal axis walks them. There is no copy with scanlines along y: their
 /// voxels are cache lines apart, but the same lines serve the next slices.
 #[derive(Clone, Copy, Debug)]
 pub struct Stored<'a, T> {
@@ -131,9 +174,6 @@ pub struct Stored<'a, T> {
     /// The last voxel of a scanline.
     last: usize,
 }
-
-/// Normals by their codes.
-pub type StoredNormals<'a> = Stored<'a, u16>;
 
 impl<'a, T: Copy + Default> Stored<'a, T> {
     /// `codes` are in the volume's order, x fastest.
@@ -162,25 +202,14 @@ impl<'a, T: Copy + Default> Stored<'a, T> {
         }
         four
     }
-
-    /// Asks for `count` voxels from (i, j, k) on, where they lie side by side.
-    #[inline(always)]
-    pub fn prefetch(&self, [i, j, k]: [usize; 3], count: usize) {
-        let start = i + j * self.strides[1] + k * self.strides[2];
-        if self.strides[0] == 1
-            && let Some(codes) = self.codes.get(start..start + count)
-        {
-            prefetch(codes);
-        }
-    }
 }
 
-/// Unencoded scanlines, and what octree and summed-area table say of their leaves.
+/// Unencoded scanlines, and which of their voxels are visible.
 #[derive(Clone, Copy, Debug)]
 pub struct Unencoded<'a, T> {
     pub voxels: VoxelRows<'a, T>,
-    pub normals: StoredNormals<'a>,
-    pub leaves: &'a LeafRows,
+    pub normals: Scanlines<'a, u16>,
+    pub visible: AxisVisible<'a>,
     pub tables: &'a CodeTables,
 }
 
@@ -199,96 +228,85 @@ impl<T: Code> Unencoded<'_, T> {
 }
 
 impl<'a, T: Code> VoxelSource for Unencoded<'a, T> {
-    /// j, k, and the leaves that it passes, and what follows them.
-    type Scanline = (usize, usize, &'a [u64]);
-    const CLASSIFIES: bool = true;
+    /// The marks, and what follows them.
+    type Scanline = &'a [u64];
+    /// Codes and normals.
+    type Ahead = (&'a [T], &'a [u16]);
+    /// The voxels themselves are found by where they are.
+    type Word = Self::Ahead;
+    const PACKED: bool = false;
 
     #[inline(always)]
     fn scanline(&self, j: usize, k: usize) -> Self::Scanline {
-        (j, k, self.leaves.scanline_and_more(j, k))
-    }
-
-    /// The codes of leaves that may show something. Normals are asked for too seldom.
-    #[inline(always)]
-    fn prefetch(&self, j: usize, k: usize) {
-        let codes = self.voxels.row(j, k);
-        for (word, &bits) in self.leaves.scanline(j, k).iter().enumerate() {
-            if bits != 0 {
-                let first = word * WORD + bits.trailing_zeros() as usize;
-                let end = (word + 1) * WORD - bits.leading_zeros() as usize;
-                prefetch(&codes[first..end.min(codes.len())]);
-            }
-        }
+        self.visible.marks.scanline_and_more(j, k)
     }
 
     #[inline(always)]
-    fn prefetch_place(&self, _: usize, _: usize) {}
+    fn ahead(&self, j: usize, k: usize) -> Self::Ahead {
+        (self.voxels.row(j, k), self.normals.row(j, k))
+    }
+
+    #[inline(always)]
+    fn prefetch_place(&self, j: usize, k: usize) {
+        self.visible.marks.prefetch(j, k);
+    }
 
     #[inline(always)]
     fn shown(&self, j: usize, count: usize, k: usize) -> u64 {
-        let rows = j..(j + count).min(self.leaves.scanlines());
-        let is_shown = |j: usize| self.leaves.scanline(j, k).iter().any(|&bits| bits != 0);
-        rows.fold(0, |shown, at| shown | u64::from(is_shown(at)) << (at - j))
+        self.visible.shown.from(j, count, k)
     }
 
     #[inline(always)]
-    fn marks<'s>(&self, (.., leaves): &'s Self::Scanline) -> &'s [u64] {
-        leaves
+    fn marks<'s>(&self, marks: &'s Self::Scanline) -> &'s [u64] {
+        marks
     }
 
     #[inline(always)]
-    fn classify(&self, &(j, k, _): &Self::Scanline, block: usize) -> u64 {
-        let first = block * BLOCK;
-        let codes = self.voxels.codes(j, k, first);
-        let mut drawn = 0;
-        for (n, code) in codes.into_iter().enumerate() {
-            drawn |= u64::from(self.tables.extinction[usize::from(code)] > 0.0) << n;
+    fn word(&self, _: &Self::Scanline, _: usize, ahead: Self::Ahead) -> Self::Word {
+        ahead
+    }
+
+    #[inline(always)]
+    fn four(&self, word: &VoxelWord<Self::Word>, at: usize) -> [Voxel; FOUR] {
+        let ([i, j, k], (codes, normals)) = (word.at, word.voxels);
+        prefetch_at(codes, i + at);
+        prefetch_at(normals, i + at);
+        let codes = self.voxels.four([i + at, j, k]);
+        let normals = self.normals.four([i + at, j, k]);
+        let mut four = [Voxel { code: 0, normal: 0 }; FOUR];
+        for n in 0..FOUR {
+            four[n] = Voxel { code: codes[n].into(), normal: normals[n] };
         }
-        if self.voxels.has_gradient_opacity() {
-            let mut asked = drawn;
-            while asked != 0 {
-                let n = asked.trailing_zeros() as usize;
-                asked &= asked - 1;
-                if self.factor(codes[n % BLOCK], [first + n, j, k]) == 0 {
-                    drawn &= !(1 << n);
-                }
-            }
-        }
-        drawn
+        four
     }
 
     #[inline(always)]
-    fn shade<W: Shorts, M: SliceShader>(
-        &self,
-        _: &Self::Scanline,
-        (word, marks): (usize, u64),
+    fn packed<'s, M: SliceShader>(
+        &'s self,
+        word: &'s VoxelWord<Self::Word>,
         asked: u64,
-        out: &mut [M::Pixel; WORD],
-        [j, k]: [usize; 2],
-        material: M,
-    ) {
-        let codes = self.voxels.row(j, k);
-        // All of each four, as if they were encoded.
-        let marks = marks & (asked * 0b1111) & below(codes.len(), word);
-        let mut voxels = [Voxel { code: 0, normal: 0 }; WORD + MORE];
-        let mut factors = [u8::MAX; WORD];
+        gathered: &'s mut Gathered,
+    ) -> (u64, &'s [Voxel], &'s [u8]) {
+        let ([first, j, k], marks, (codes, normals)) = (word.at, word.marks & asked, word.voxels);
+        prefetch_at(codes, first);
+        prefetch_at(normals, first);
+        let (codes, normals) = (self.voxels.row(j, k), self.normals.row(j, k));
         let (mut left, mut count) = (marks, 0);
         while left != 0 {
-            let i = word * WORD + left.trailing_zeros() as usize;
+            let i = first + left.trailing_zeros() as usize;
             left &= left - 1;
             let code = codes[i].into();
-            voxels[count] = Voxel { code, normal: if M::LIT { self.normals.at([i, j, k]) } else { 0 } };
+            gathered.voxels[count] = Voxel { code, normal: if M::LIT { normals[i] } else { 0 } };
             if M::FACTORED {
-                factors[count] = self.factor(code, [i, j, k]);
+                gathered.factors[count] = self.factor(code, [i, j, k]);
             }
             count += 1;
         }
-        let voxels = VoxelWord { marks, voxels: &voxels, factors: &factors, at: [word * WORD, j, k] };
-        material.word::<W>(&voxels, asked, out);
+        (marks, &gathered.voxels, &gathered.factors)
     }
 
     fn voxel(&self, [i, j, k]: [usize; 3]) -> Option<(Voxel, u8)> {
-        let code = self.voxels.codes(j, k, i)[0];
+        let code = self.voxels.four([i, j, k])[0].into();
         let tau = self.tables.extinction[usize::from(code)];
         let factor = if self.voxels.has_gradient_opacity() { self.voxels.gradient_factor([i, j, k]) } else { u8::MAX };
         let drawn = self.tables.is_visible(tau, factor);

@@ -60,27 +60,13 @@ impl Touched {
         to != 0
     }
 
-    /// Keeps those that touch a voxel of others' marks; false where there is none.
-    #[inline(always)]
-    pub fn keep(&mut self, upper: &[u64], lower: &[u64], between: bool) -> bool {
-        let mut any = 0;
-        for at in self.range.clone() {
-            let marks = |at: usize| upper.get(at).unwrap_or(&0) | lower.get(at).unwrap_or(&0);
-            let next = if between { marks(at) >> 1 | marks(at + 1) << (WORD - 1) } else { 0 };
-            self.words[at] &= marks(at) | next;
-            any |= self.words[at];
-        }
-        any != 0
-    }
-
     /// By word, and which of the words there are any in.
     #[inline(always)]
     pub fn words(&self) -> (&[u64], Range<usize>) {
         (&self.words, self.range.clone())
     }
 
-    /// The first bits of aligned fours of voxels that hold all that the pixels touched when they were found, by word, and which of the words
-    /// there are any in.
+    /// The first bits of aligned fours of voxels that hold all that the pixels touch, by word, and which of the words there are any in.
     #[inline(always)]
     pub fn asked(&self) -> (&[u64], Range<usize>) {
         // The last pixel of a word touches the first voxel of the next.

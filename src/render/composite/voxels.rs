@@ -163,6 +163,7 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
         let weights = P::weights([fraction_u, fraction_v]);
         let cue = self.cue.map(|cue| cue.slice(k as f64));
         let ahead = slices_ahead(f, k);
+        let next = ahead.map_or(k, |[next, _]| next);
         rows.next_slice();
         let mut below = None;
         while under != 0 {
@@ -197,32 +198,18 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
             }
             rows.go_on(j);
             let RowBuffers { upper, lower } = rows;
-            if V::CLASSIFIES {
-                upper.enter_marked(self.source, j, &above);
-                upper.classify(self.source, &above, touched.asked());
-                if has_lower {
-                    lower.enter_marked(self.source, j + 1, &beneath);
-                    lower.classify(self.source, &beneath, touched.asked());
-                }
-                let beneath = if has_lower { &lower.marked } else { &upper.marked };
-                if !touched.keep(&upper.marked, beneath, lies.between) {
-                    continue;
-                }
-            } else {
-                upper.enter(j);
-                if has_lower {
-                    lower.enter(j + 1);
-                }
-            }
-            if let Some([ahead, _]) = ahead {
-                self.source.prefetch(j, ahead);
+            upper.enter(j);
+            if has_lower {
+                lower.enter(j + 1);
             }
             let (asked, words) = touched.asked();
+            let above = (&above, self.source.ahead(j, next));
+            let beneath = (&beneath, self.source.ahead(j + usize::from(has_lower), next));
             for word in words {
                 let asked = (word, asked[word]);
-                upper.shade::<W, _, _>(self.source, &above, asked, k, material);
+                upper.shade::<W, _, _>(self.source, above, asked, k, material);
                 if has_lower {
-                    lower.shade::<W, _, _>(self.source, &beneath, asked, k, material);
+                    lower.shade::<W, _, _>(self.source, beneath, asked, k, material);
                 }
             }
             let cue = cue.map(|cue| cue.scanline(v));

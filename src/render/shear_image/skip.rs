@@ -6,7 +6,7 @@
 //! transparent throughout, the packet goes on at the next leaf.
 
 use super::packet::{IN_SLICE, Packet};
-use crate::classify::cells::{AxisCells, WORD};
+use crate::classify::marks::{AxisMarks, WORD};
 use crate::classify::{Classification, Encodings};
 use crate::volume::octree::{LEAF, leaf_of, leaves_along};
 
@@ -18,7 +18,7 @@ pub struct Skip<'a> {
     leaf_strides: [usize; 3],
     /// Flags of leaves; `None`: nothing is skipped.
     leaves: Option<&'a [bool]>,
-    cells: Option<[AxisCells<'a>; 3]>,
+    cells: Option<[AxisMarks<'a>; 3]>,
 }
 
 /// Leaves that a packet touches: a rectangle of them.
@@ -121,7 +121,7 @@ impl<'a> Skip<'a> {
 
     /// True where a cell that the packet touches in `layer` is marked.
     #[inline(always)]
-    fn layer_shows(&self, cells: &AxisCells<'_>, packet: &Packet, layer: usize) -> bool {
+    fn layer_shows(&self, cells: &AxisMarks<'_>, packet: &Packet, layer: usize) -> bool {
         let [i, j] = IN_SLICE[packet.axis];
         let span = [layer as f32, (layer + 1) as f32];
         let [first, last] = packet.bounds(0, span, self.dims[i] - 1);

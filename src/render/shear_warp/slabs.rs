@@ -9,7 +9,7 @@ use crate::render::composite::naive::NaiveLattice;
 use crate::render::composite::occupied::Occupied;
 use crate::render::composite::samples::{Quads, VoxelLight, VoxelRows};
 use crate::render::composite::slabs::SlabComposite;
-use crate::render::composite::sources::{Stored, StoredNormals};
+use crate::render::composite::sources::Stored;
 use crate::render::intermediate::IntermediateImage;
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
 use crate::render::{Lookup, OpacityCorrection, RenderError, SlabTable};
@@ -126,7 +126,7 @@ impl Pass<'_> {
             LightTable::Off => VoxelLight::Off,
             LightTable::ByNormal(table) => VoxelLight::ByNormal {
                 shades: table.entries(),
-                normals: StoredNormals::new(self.scene.prepared.normals(), self.factorization),
+                normals: self.scene.prepared.normals(self.factorization.principal_axis),
             },
             LightTable::ByRay(light) => VoxelLight::ByRay(light),
         }

@@ -8,9 +8,8 @@ use crate::classify::labels::Labels;
 use crate::render::composite::Composite;
 use crate::render::composite::lattice::{Lattice, Scaled, Unit};
 use crate::render::composite::naive::{NaiveVoxels, Pixels};
-use crate::render::composite::occupied::LeafRows;
 use crate::render::composite::samples::{VoxelLight, VoxelRows};
-use crate::render::composite::sources::{Stored, StoredNormals, Unencoded, VoxelSource};
+use crate::render::composite::sources::{Stored, Unencoded, VoxelSource};
 use crate::render::composite::voxels::{VoxelLattice, Voxels};
 use crate::render::intermediate::IntermediateImage;
 use crate::render::material::{
@@ -42,11 +41,11 @@ impl Pass<'_> {
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
         let Self { scene, classification, factorization, .. } = *self;
-        let leaves = LeafRows::new(classification.occupied(), factorization);
+        let visible = classification.visible().expect("the classification is of voxels");
         let source = Unencoded {
             voxels: VoxelRows::new(scanlines, scene.prepared.volume(), factorization, VoxelLight::Off, scene.transfer),
-            normals: StoredNormals::new(scene.prepared.normals(), factorization),
-            leaves: &leaves,
+            normals: scene.prepared.normals(factorization.principal_axis),
+            visible: visible.for_axis(factorization.principal_axis),
             tables: classification.tables(),
         };
         self.with_source(source, image)
