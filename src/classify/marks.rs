@@ -124,15 +124,15 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// Of so many scanlines in so many slices; `is_shown` is asked for each (j, k).
-    pub(super) fn new(scanlines: usize, slices: usize, is_shown: impl Fn(usize, usize) -> bool) -> Self {
+    /// Of so many scanlines in so many slices, on the current rayon pool; `is_shown` is asked for each (j, k).
+    pub(super) fn new(scanlines: usize, slices: usize, is_shown: impl Fn(usize, usize) -> bool + Sync) -> Self {
         let words = scanlines.div_ceil(WORD) + 1;
         let mut bits = vec![0; words * slices];
-        for (k, slice) in bits.chunks_exact_mut(words).enumerate() {
+        bits.par_chunks_exact_mut(words).enumerate().for_each(|(k, slice)| {
             for j in 0..scanlines {
                 slice[j / WORD] |= u64::from(is_shown(j, k)) << (j % WORD);
             }
-        }
+        });
         Self { words, bits }
     }
 

@@ -62,7 +62,7 @@ impl Lighting {
                         factors[n] += diffuse * cosines[n];
                     }
                     if specular > 0.0 {
-                        self.raise(&mut cosines);
+                        raise(&mut cosines, self.shininess);
                         for n in 0..N {
                             addends[n] += specular * cosines[n];
                         }
@@ -85,7 +85,7 @@ impl Lighting {
                     }
                     if specular > 0.0 {
                         let mut highlights = cosines(&normal, &half);
-                        self.raise(&mut highlights);
+                        raise(&mut highlights, self.shininess);
                         for n in 0..N {
                             addends[n] += specular * highlights[n];
                         }
@@ -99,26 +99,6 @@ impl Lighting {
             addends[n] = if flat { 0.0 } else { addends[n] };
         }
         [factors, addends]
-    }
-
-    /// Raises cosines (0..=1) to the shininess: the whole part by squaring, which vectorizes.
-    #[inline(always)]
-    fn raise<const N: usize>(&self, cosines: &mut [f32; N]) {
-        let (mut bits, fraction) = self.shininess;
-        let mut powers = [1.0; N];
-        if fraction > 0.0 {
-            for n in 0..N {
-                powers[n] = cosines[n].powf(fraction);
-            }
-        }
-        while bits > 0 {
-            for n in 0..N {
-                powers[n] *= if bits & 1 == 1 { cosines[n] } else { 1.0 };
-                cosines[n] *= cosines[n];
-            }
-            bits >>= 1;
-        }
-        *cosines = powers;
     }
 }
 
@@ -165,9 +145,28 @@ impl AxialDepth {
     }
 }
 
+/// Raises cosines (0..=1) to the shininess, its whole part and the rest: the former by squaring, which vectorizes.
+#[inline(always)]
+pub(super) fn raise<const N: usize>(cosines: &mut [f32; N], (whole, fraction): (u32, f32)) {
+    let (mut bits, mut powers) = (whole, [1.0; N]);
+    if fraction > 0.0 {
+        for n in 0..N {
+            powers[n] = cosines[n].powf(fraction);
+        }
+    }
+    while bits > 0 {
+        for n in 0..N {
+            powers[n] *= if bits & 1 == 1 { cosines[n] } else { 1.0 };
+            cosines[n] *= cosines[n];
+        }
+        bits >>= 1;
+    }
+    *cosines = powers;
+}
+
 /// The cosines of the angles between unit vectors, without their signs.
 #[inline(always)]
-fn cosines<const N: usize>(a: &[[f32; N]; 3], b: &[[f32; N]; 3]) -> [f32; N] {
+pub(super) fn cosines<const N: usize>(a: &[[f32; N]; 3], b: &[[f32; N]; 3]) -> [f32; N] {
     let mut cosines = [0.0; N];
     for n in 0..N {
         cosines[n] = (a[0][n] * b[0][n] + a[1][n] * b[1][n] + a[2][n] * b[2][n]).abs();
@@ -178,6 +177,18 @@ fn cosines<const N: usize>(a: &[[f32; N]; 3], b: &[[f32; N]; 3]) -> [f32; N] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn raising_is_powf() {
+        for exponent in [0.0, 1.0, 2.5, 20.0, 33.25f32] {
+            let mut values = [0.0f32, 0.3, 0.9, 0.99, 1.0];
+            let expected = values.map(|v| v.powf(exponent));
+            raise(&mut values, (exponent as u32, exponent.fract()));
+            for (value, expected) in values.iter().zip(expected) {
+                assert!((value - expected).abs() < 1e-5, "{exponent}: {value} {expected}");
+            }
+        }
+    }
 
     #[test]
     fn a_surface_that_faces_the_headlight_gets_all_of_it() {

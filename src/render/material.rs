@@ -22,6 +22,7 @@ use super::pixel::{BLOCK, Pixel, WORD, first_four, nearest, short};
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
 use super::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT};
+use super::simd::{self, Kernel};
 use crate::classify::CodeTables;
 use crate::classify::labels::LabelTables;
 use crate::classify::rle::Voxel;
@@ -489,12 +490,46 @@ impl Drop for ShortTables {
     }
 }
 
-/// A table that begins with some entries.
-fn for_any_code<T: Copy + Default>(spare: &Spare<T>, entries: impl Iterator<Item = T>) -> Vec<T> {
+/// A table to be filled from its first entry on.
+fn for_any_code<T: Copy + Default>(spare: &Spare<T>) -> Vec<T> {
     let mut table = spare.take();
     table.resize(ANY_CODE, T::default());
-    table.iter_mut().zip(entries).for_each(|(entry, known)| *entry = known);
     table
+}
+
+/// A shading table without light.
+static UNLIT: [[f32; 2]; NORMAL_CODES] = [[1.0, 0.0]; NORMAL_CODES];
+
+/// Floats' tables to be shortened; [`Kernel::run`] gives whether they can be.
+struct Shorten<'a> {
+    shading: &'a [[f32; 2]],
+    lights: &'a mut [ShortLight],
+    /// By share, with where they go.
+    tables: Vec<(&'a [Vec4], &'a mut [Short])>,
+}
+
+impl Kernel for Shorten<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run(self) -> bool {
+        let (from, to) = (self.shading.as_flattened(), self.lights.as_flattened_mut());
+        let mut brightest = 0;
+        for (number, light) in from.iter().zip(to) {
+            // Of numbers that are not negative the bits are in order, too.
+            brightest = brightest.max(number.to_bits());
+            *light = nearest(number * (f32::from(UNIT) / 2.0));
+        }
+        for (entries, shorts) in self.tables {
+            for (entry, Short(out)) in entries.iter().zip(shorts) {
+                let premultiplied = (*entry * entry.w).with_w(entry.w).to_array();
+                for n in 0..4 {
+                    out[n] = short(premultiplied[n]);
+                }
+            }
+        }
+        f32::from_bits(brightest) <= ShortTables::BRIGHTEST
+    }
 }
 
 impl ShortTables {
@@ -510,21 +545,17 @@ impl ShortTables {
         if whole.iter().any(|entry| entry.w > 0.0 && entry.w < Self::LEAST_OPACITY) {
             return None;
         }
-        let light = |number: f32| nearest(number * (f32::from(UNIT) / 2.0));
-        let lights = match shading {
-            None => for_any_code(&SPARE_LIGHTS, std::iter::repeat_n([light(1.0), 0], NORMAL_CODES)),
-            Some(table) => {
-                // Of numbers that are not negative the bits are in order, too.
-                let bits = table.entries().as_flattened().iter().fold(0, |most, number| number.to_bits().max(most));
-                if f32::from_bits(bits) > Self::BRIGHTEST {
-                    return None;
-                }
-                for_any_code(&SPARE_LIGHTS, table.entries().iter().map(|entry| entry.map(light)))
-            }
+        let mut short = Self {
+            entries: tables.entries.iter().map(|(share, _)| (*share, for_any_code(&SPARE_ENTRIES))).collect(),
+            lights: for_any_code(&SPARE_LIGHTS),
         };
-        let entry = |entry: &Vec4| Short((*entry * entry.w).with_w(entry.w).to_array().map(short));
-        let by_code = |table: &Vec<Vec4>| for_any_code(&SPARE_ENTRIES, table.iter().map(entry));
-        Some(Self { entries: tables.entries.iter().map(|(share, table)| (*share, by_code(table))).collect(), lights })
+        let pairs = tables.entries.iter().zip(&mut short.entries);
+        let can_be = simd::dispatch(Shorten {
+            shading: shading.map_or(&UNLIT[..], ShadingTable::entries),
+            lights: &mut short.lights,
+            tables: pairs.map(|((_, entries), (_, shorts))| (&entries[..], &mut shorts[..])).collect(),
+        });
+        can_be.then_some(short)
     }
 }
 

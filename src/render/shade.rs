@@ -4,14 +4,17 @@
 //! with (ambient and diffuse) and what is added to it (specular). Under parallel projection both
 //! depend on the normal alone, and a frame computes them once for each of the normal codes.
 
-use glam::{DMat3, DVec3};
-use rayon::prelude::*;
+use glam::{DMat3, DVec3, Vec3};
 
+use super::lighting::{cosines, raise};
+use super::simd::{self, Kernel};
 use super::{Light, Shading};
 use crate::volume::gradient::{NO_NORMAL, NORMAL_CODES, NORMALS};
 
-/// Codes that one job computes.
-const CHUNK: usize = 4096;
+/// Normals that are lit at once.
+const LANES: usize = 16;
+
+const _: () = assert!(NO_NORMAL as usize == NORMAL_CODES - 1 && (NORMAL_CODES - 1).is_multiple_of(LANES));
 
 /// Factor on the colour and addend, by normal code.
 #[derive(Clone, Debug)]
@@ -25,24 +28,22 @@ impl ShadingTable {
     pub fn new(shading: &Shading, transmittance: f64, forward: DVec3, world_from_frame: DMat3) -> Self {
         let frame_from_world = world_from_frame.transpose();
         let to_eye = -forward;
-        let lights: Vec<[DVec3; 2]> = shading
-            .lights
-            .iter()
-            .map(|light| match *light {
+        let light = |light: &Light| {
+            let [towards, half] = match *light {
                 Light::Headlight => [to_eye, to_eye],
                 Light::Directional { direction, .. } => {
                     let towards = direction.normalize();
                     [towards, (towards + to_eye).try_normalize().unwrap_or(to_eye)]
                 }
-            })
-            .map(|directions| directions.map(|d| frame_from_world * d))
-            .collect();
-        let mut entries = vec![[shading.ambient as f32, 0.0]; NORMAL_CODES];
-        entries.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, entries)| {
-            for (light, [towards, half]) in shading.lights.iter().zip(&lights) {
-                add_light(entries, chunk * CHUNK, shading, light.intensity(transmittance), *towards, *half);
             }
-        });
+            .map(|direction| (frame_from_world * direction).as_vec3());
+            let intensity = light.intensity(transmittance);
+            let [diffuse, specular] = [shading.diffuse, shading.specular].map(|share| (intensity * share) as f32);
+            FixedLight { towards, half, diffuse, specular }
+        };
+        let lights: Vec<FixedLight> = shading.lights.iter().map(light).collect();
+        let mut entries = vec![[0.0; 2]; NORMAL_CODES];
+        simd::dispatch(Fill { shading, lights: &lights, normals: &NORMALS, entries: &mut entries });
         entries[usize::from(NO_NORMAL)] = [shading.facing(transmittance) as f32, 0.0];
         Self { entries }
     }
@@ -53,62 +54,57 @@ impl ShadingTable {
     }
 }
 
-/// Adds a light to the entries of the normals from code `first` on.
-fn add_light(entries: &mut [[f32; 2]], first: usize, shading: &Shading, intensity: f64, towards: DVec3, half: DVec3) {
-    let normals = [0, 1, 2].map(|axis| &NORMALS[axis][first..first + entries.len()]);
-    let cosines = |direction: DVec3| -> Vec<f32> {
-        let d = direction.as_vec3();
-        let along = normals[0].iter().zip(normals[1]).zip(normals[2]);
-        along.map(|((x, y), z)| (x * d.x + y * d.y + z * d.z).abs()).collect()
-    };
-    let (diffuse, specular) = ((intensity * shading.diffuse) as f32, (intensity * shading.specular) as f32);
-    for (entry, cosine) in entries.iter_mut().zip(cosines(towards)) {
-        entry[0] += diffuse * cosine;
-    }
-    if specular > 0.0 {
-        let mut highlights = cosines(half);
-        raise(&mut highlights, shading.shininess);
-        for (entry, highlight) in entries.iter_mut().zip(highlights) {
-            entry[1] += specular * highlight;
-        }
-    }
+/// A light as normals see it, in the frame that they are kept in.
+struct FixedLight {
+    towards: Vec3,
+    /// Half way between it and the eye.
+    half: Vec3,
+    diffuse: f32,
+    specular: f32,
 }
 
-/// Raises all of `bases` (0..=1) to `exponent`: the integer part by squaring, all values at once, which
-/// vectorizes; `powf` for what is left.
-fn raise(bases: &mut [f32], exponent: f64) {
-    let mut powers = vec![1f32; bases.len()];
-    let fraction = exponent.fract() as f32;
-    if fraction > 0.0 {
-        powers.iter_mut().zip(&*bases).for_each(|(power, base)| *power = base.powf(fraction));
-    }
-    let mut bits = exponent as u32;
-    while bits > 0 {
-        if bits & 1 == 1 {
-            powers.iter_mut().zip(&*bases).for_each(|(power, base)| *power *= base);
+/// Entries to be filled in.
+struct Fill<'a> {
+    shading: &'a Shading,
+    lights: &'a [FixedLight],
+    normals: &'a [Vec<f32>; 3],
+    entries: &'a mut [[f32; 2]],
+}
+
+impl Kernel for Fill<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let shininess = (self.shading.shininess as u32, self.shading.shininess.fract() as f32);
+        let [x, y, z] = self.normals;
+        let normals = x.as_chunks().0.iter().zip(y.as_chunks().0).zip(z.as_chunks().0);
+        for (entries, ((x, y), z)) in self.entries.as_chunks_mut::<LANES>().0.iter_mut().zip(normals) {
+            let (normal, mut factors, mut addends) = ([*x, *y, *z], [self.shading.ambient as f32; LANES], [0.0; LANES]);
+            for FixedLight { towards, half, diffuse, specular } in self.lights {
+                let along = cosines(&normal, &[[towards.x; LANES], [towards.y; LANES], [towards.z; LANES]]);
+                for n in 0..LANES {
+                    factors[n] += diffuse * along[n];
+                }
+                if *specular > 0.0 {
+                    let mut highlights = cosines(&normal, &[[half.x; LANES], [half.y; LANES], [half.z; LANES]]);
+                    raise(&mut highlights, shininess);
+                    for n in 0..LANES {
+                        addends[n] += specular * highlights[n];
+                    }
+                }
+            }
+            for n in 0..LANES {
+                entries[n] = [factors[n], addends[n]];
+            }
         }
-        bases.iter_mut().for_each(|base| *base *= *base);
-        bits >>= 1;
     }
-    bases.copy_from_slice(&powers);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::volume::gradient::{decode_normal, encode_normal};
-
-    #[test]
-    fn raising_is_powf() {
-        for exponent in [0.0, 1.0, 2.5, 20.0, 33.25] {
-            let mut values = [0.0f32, 0.3, 0.9, 0.99, 1.0];
-            let expected = values.map(|v| v.powf(exponent as f32));
-            raise(&mut values, exponent);
-            for (value, expected) in values.iter().zip(expected) {
-                assert!((value - expected).abs() < 1e-5, "{exponent}: {value} {expected}");
-            }
-        }
-    }
 
     #[test]
     fn a_surface_that_faces_the_headlight_gets_all_of_it() {
