@@ -59,12 +59,6 @@ impl<'a> Scanline<'a> {
         &self.plane.marks[self.row * self.plane.words..]
     }
 
-    /// The voxels that are not transparent, one after the other.
-    #[inline(always)]
-    pub fn voxels(&self) -> &'a [Voxel] {
-        &self.plane.voxels[self.plane.rows[self.row] as usize..self.plane.rows[self.row + 1] as usize]
-    }
-
     /// The voxels of word `word` of the marks and what follows, at least [`MORE`] of them; and their gradient opacity, 255 = 1, or nothing where it
     /// plays no part.
     #[inline(always)]
@@ -87,12 +81,6 @@ impl<'a> Scanline<'a> {
             before += marks.count_ones() as usize;
         }
         before
-    }
-
-    /// The voxels from the scanline's first on.
-    #[inline(always)]
-    pub fn voxels_and_more(&self) -> &'a [Voxel] {
-        &self.plane.voxels[self.plane.rows[self.row] as usize..]
     }
 }
 

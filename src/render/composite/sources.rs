@@ -104,7 +104,8 @@ impl<'a> VoxelSource for AxisEncoding<'a> {
 
     #[inline(always)]
     fn ahead(&self, j: usize, k: usize) -> &'a [Voxel] {
-        AxisEncoding::scanline(self, j, k).voxels_and_more()
+        let (voxels, _) = AxisEncoding::scanline(self, j, k).from(0);
+        voxels
     }
 
     #[inline(always)]
