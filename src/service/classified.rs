@@ -467,9 +467,9 @@ mod tests {
             cache.size().await
         };
         let one = warm(&cache(1 << 30), 0.5).await.encoding_bytes;
-        // Five eighths of the bytes are for encodings: room for twelve, and for what one may take at most.
+        // Half of the bytes are for encodings: room for twelve, and for what one may take at most.
         let room = 12 * one + one / 2;
-        let cache = cache(room * 8 / 5);
+        let cache = cache(room * 2);
         for step in 0..=15 {
             assert!(warm(&cache, 0.55 - f64::from(15 - step) / 300.0).await.encoding_bytes <= room);
         }
