@@ -10,58 +10,18 @@
 //!
 //! Scanlines are stored in the two orders of [`super::rle`].
 
-use super::marks::{Marks, OccupiedWords, VisibleCodes, turn};
+use super::marks::{Marks, VisibleCodes};
 pub use super::marks::{WORD, words};
-use crate::simd::{self, Kernel};
 use crate::volume::PreparedVolume;
-use crate::volume::gradient::Code;
-use crate::volume::octree::leaf_of;
-use crate::volume::scanlines::{AnyScanlines, Scanlines};
+use crate::volume::scanlines::AnyScanlines;
 
 /// Marks the cells between whose corners `visible` (a flag for each code) has a set flag. `occupied` has a flag for each leaf of the
 /// volume's octree: false only where no cell of the leaf is to be marked.
 pub fn mark(prepared: &PreparedVolume, visible: &[bool], occupied: &[bool]) -> Marks {
+    let visible = visible.iter().copied();
     match prepared.scanlines(2) {
-        AnyScanlines::U8(scanlines) => mark_codes(scanlines, visible, occupied),
-        AnyScanlines::U16(scanlines) => mark_codes(scanlines, visible, occupied),
-    }
-}
-
-fn mark_codes<T: Code>(scanlines: Scanlines<'_, T>, visible: &[bool], occupied: &[bool]) -> Marks {
-    let visible = VisibleCodes::new(visible.iter().copied());
-    Marks::of_planes(scanlines.dims().map(|n| n - 1), |z, rows, columns| {
-        simd::dispatch(Plane { scanlines, visible: &visible, occupied, z, rows, columns });
-    })
-}
-
-/// The cells between slices `z` and `z + 1`, to be marked in both orders.
-struct Plane<'a, T> {
-    scanlines: Scanlines<'a, T>,
-    visible: &'a VisibleCodes<T>,
-    occupied: &'a [bool],
-    z: usize,
-    rows: &'a mut [u64],
-    columns: &'a mut [u64],
-}
-
-impl<T: Code> Kernel for Plane<'_, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let dims @ [nx, ny, _] = self.scanlines.dims();
-        let mut occupied = OccupiedWords::new(self.occupied, dims, self.z);
-        for (y, marks) in self.rows.chunks_exact_mut(words(nx - 1)).enumerate() {
-            let (near, far) = (self.scanlines.row(y, self.z), self.scanlines.row(y, self.z + 1));
-            let rows = [near, far, self.scanlines.row(y + 1, self.z), self.scanlines.row(y + 1, self.z + 1)];
-            let occupied = occupied.of_row(leaf_of(y, ny));
-            for (word, (marks, occupied)) in marks.iter_mut().zip(occupied).enumerate() {
-                if *occupied {
-                    *marks = self.visible.mark_cells(rows, word * WORD);
-                }
-            }
-        }
-        turn(self.rows, [nx - 1, ny - 1], self.columns);
+        AnyScanlines::U8(scanlines) => Marks::new::<_, true>(scanlines, &VisibleCodes::new(visible), occupied),
+        AnyScanlines::U16(scanlines) => Marks::new::<_, true>(scanlines, &VisibleCodes::new(visible), occupied),
     }
 }
 

@@ -9,9 +9,10 @@
 
 use rayon::prelude::*;
 
-use crate::simd::prefetch;
+use crate::simd::{self, Kernel, prefetch};
 use crate::volume::gradient::Code;
 use crate::volume::octree::{LEAF, leaf_of, leaves_along};
+use crate::volume::scanlines::Scanlines;
 
 /// Voxels (or cells) of a scanline that a word spans.
 pub const WORD: usize = 64;
@@ -33,6 +34,40 @@ pub struct Marks {
     pub(super) along_x: Vec<u64>,
     /// Scanlines along y: row (x, z) at `(z * nx + x) * words(ny)`. And [`MORE`] words of none.
     pub(super) along_y: Vec<u64>,
+}
+
+/// The voxels of slice `z`, or the `CELLS` between it and the next, to be marked in both orders.
+struct Plane<'a, T, const CELLS: bool> {
+    scanlines: Scanlines<'a, T>,
+    visible: &'a VisibleCodes<T>,
+    occupied: &'a [bool],
+    z: usize,
+    rows: &'a mut [u64],
+    columns: &'a mut [u64],
+}
+
+impl<T: Code, const CELLS: bool> Kernel for Plane<'_, T, CELLS> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { scanlines, visible, z, .. } = self;
+        let dims @ [nx, ny, _] = scanlines.dims();
+        let less = usize::from(CELLS);
+        let mut occupied = OccupiedWords::new(self.occupied, dims, z);
+        for (y, marks) in self.rows.chunks_exact_mut(words(nx - less)).enumerate() {
+            let (near, far) = (scanlines.row(y, z), scanlines.row(y, z + less));
+            let rows = [near, far, scanlines.row(y + less, z), scanlines.row(y + less, z + less)];
+            let occupied = occupied.of_row(leaf_of(y, ny));
+            for (word, (marks, occupied)) in marks.iter_mut().zip(occupied).enumerate() {
+                if *occupied {
+                    let first = word * WORD;
+                    *marks = if CELLS { visible.mark_cells(rows, first) } else { visible.mark_voxels(rows[0], first) };
+                }
+            }
+        }
+        turn(self.rows, [nx - less, ny - less], self.columns);
+    }
 }
 
 /// The marks that one principal axis walks.
@@ -69,15 +104,20 @@ impl<'a> AxisMarks<'a> {
 }
 
 impl Marks {
-    /// Marks plane by plane, on the current rayon pool. `mark` is given z, the plane's scanlines along x and those along y, all clear.
-    pub(super) fn of_planes(
-        dims @ [nx, ny, nz]: [usize; 3],
-        mark: impl Fn(usize, &mut [u64], &mut [u64]) + Sync,
+    /// Marks the voxels whose code is `visible`, or the `CELLS` between whose corners one is, on the current rayon pool. `occupied` has a flag for
+    /// each leaf of the volume's octree: false only where nothing in the leaf is to be marked. `scanlines` are those of the z axis.
+    pub(super) fn new<T: Code, const CELLS: bool>(
+        scanlines: Scanlines<'_, T>,
+        visible: &VisibleCodes<T>,
+        occupied: &[bool],
     ) -> Self {
+        let dims @ [nx, ny, nz] = scanlines.dims().map(|n| n - usize::from(CELLS));
         let (rows, columns) = (ny * words(nx), nx * words(ny));
         let (mut along_x, mut along_y) = (vec![0; nz * rows + MORE], vec![0; nz * columns + MORE]);
         let planes = along_x.par_chunks_exact_mut(rows).zip(along_y.par_chunks_exact_mut(columns)).take(nz);
-        planes.enumerate().for_each(|(z, (rows, columns))| mark(z, rows, columns));
+        planes.enumerate().for_each(|(z, (rows, columns))| {
+            simd::dispatch(Plane::<_, CELLS> { scanlines, visible, occupied, z, rows, columns });
+        });
         Self { dims, along_x, along_y }
     }
 
