@@ -469,7 +469,7 @@ impl<H: Light, const FACTORED: bool> SliceShader for SliceMaterial<'_, H, FACTOR
 }
 
 /// Entries of a table that has one for whatever code there is, so that none is out of bounds.
-const ANY_CODE: usize = 1 << u16::BITS;
+pub const ANY_CODE: usize = 1 << u16::BITS;
 
 static SPARE_ENTRIES: Spare<Short> = Spare::none();
 static SPARE_LIGHTS: Spare<ShortLight> = Spare::none();
@@ -480,13 +480,22 @@ static SPARE_LIGHTS: Spare<ShortLight> = Spare::none();
 pub struct ShortTables {
     /// By how many intervals a slice stands for. Premultiplied colour, not lit yet, and opacity.
     entries: Vec<(f64, Vec<Short>)>,
-    lights: Vec<ShortLight>,
+    lights: ShortLights,
 }
 
 impl Drop for ShortTables {
     fn drop(&mut self) {
         self.entries.drain(..).for_each(|(_, table)| SPARE_ENTRIES.give(table));
-        SPARE_LIGHTS.give(std::mem::take(&mut self.lights));
+    }
+}
+
+/// Lights of a frame by their normals' codes.
+#[derive(Debug)]
+pub struct ShortLights(Vec<ShortLight>);
+
+impl Drop for ShortLights {
+    fn drop(&mut self) {
+        SPARE_LIGHTS.give(std::mem::take(&mut self.0));
     }
 }
 
@@ -500,19 +509,17 @@ fn for_any_code<T: Copy + Default>(spare: &Spare<T>) -> Vec<T> {
 /// A shading table without light.
 static UNLIT: [[f32; 2]; NORMAL_CODES] = [[1.0, 0.0]; NORMAL_CODES];
 
-/// Floats' tables to be shortened; [`Kernel::run`] gives whether they can be.
-struct Shorten<'a> {
+/// Floats' lights to be shortened; [`Kernel::run`] gives the greatest of their numbers.
+struct ShortenLights<'a> {
     shading: &'a [[f32; 2]],
     lights: &'a mut [ShortLight],
-    /// By share, with where they go.
-    tables: Vec<(&'a [Vec4], &'a mut [Short])>,
 }
 
-impl Kernel for Shorten<'_> {
-    type Output = bool;
+impl Kernel for ShortenLights<'_> {
+    type Output = f32;
 
     #[inline(always)]
-    fn run(self) -> bool {
+    fn run(self) -> f32 {
         let (from, to) = (self.shading.as_flattened(), self.lights.as_flattened_mut());
         let mut brightest = 0;
         for (number, light) in from.iter().zip(to) {
@@ -520,15 +527,47 @@ impl Kernel for Shorten<'_> {
             brightest = brightest.max(number.to_bits());
             *light = nearest(number * (f32::from(UNIT) / 2.0));
         }
-        for (entries, shorts) in self.tables {
-            for (entry, Short(out)) in entries.iter().zip(shorts) {
-                let premultiplied = (*entry * entry.w).with_w(entry.w).to_array();
-                for n in 0..4 {
-                    out[n] = short(premultiplied[n]);
-                }
+        f32::from_bits(brightest)
+    }
+}
+
+impl ShortLights {
+    /// The greatest factor or addend.
+    const BRIGHTEST: f32 = 1.999;
+
+    /// Those of a table (`None`: unlit); `None` where one is brighter than twice the full strength.
+    pub fn new(shading: Option<&ShadingTable>) -> Option<Self> {
+        let mut lights = Self(for_any_code(&SPARE_LIGHTS));
+        let shading = shading.map_or(&UNLIT[..], ShadingTable::entries);
+        let brightest = simd::dispatch(ShortenLights { shading, lights: &mut lights.0 });
+        (brightest <= Self::BRIGHTEST).then_some(lights)
+    }
+
+    /// By any 16 bits.
+    #[inline(always)]
+    pub fn by_any_code(&self) -> &[ShortLight; ANY_CODE] {
+        let Some(lights) = self.0.first_chunk() else { unreachable!("tables are for any code") };
+        lights
+    }
+}
+
+/// Floats' entries to be shortened.
+struct ShortenEntries<'a> {
+    entries: &'a [Vec4],
+    shorts: &'a mut [Short],
+}
+
+impl Kernel for ShortenEntries<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (entry, Short(out)) in self.entries.iter().zip(self.shorts) {
+            let premultiplied = (*entry * entry.w).with_w(entry.w).to_array();
+            for n in 0..4 {
+                out[n] = short(premultiplied[n]);
             }
         }
-        f32::from_bits(brightest) <= ShortTables::BRIGHTEST
     }
 }
 
@@ -536,8 +575,6 @@ impl ShortTables {
     /// The least opacity that a slice may have, but for nothing: rounded, it is off by 1 in 128, and what is seen of a
     /// medium by less than 1 in 255.
     const LEAST_OPACITY: f32 = 1.0 / 512.0;
-    /// The greatest factor or addend of a light.
-    const BRIGHTEST: f32 = 1.999;
 
     /// Of the floats' tables; `None` where they hold what 16 bits are too coarse or too few for.
     pub fn new(tables: &SliceTables, shading: Option<&ShadingTable>) -> Option<Self> {
@@ -545,17 +582,13 @@ impl ShortTables {
         if whole.iter().any(|entry| entry.w > 0.0 && entry.w < Self::LEAST_OPACITY) {
             return None;
         }
-        let mut short = Self {
-            entries: tables.entries.iter().map(|(share, _)| (*share, for_any_code(&SPARE_ENTRIES))).collect(),
-            lights: for_any_code(&SPARE_LIGHTS),
+        let lights = ShortLights::new(shading)?;
+        let shorten = |(share, entries): &(f64, Vec<Vec4>)| {
+            let mut shorts = for_any_code(&SPARE_ENTRIES);
+            simd::dispatch(ShortenEntries { entries, shorts: &mut shorts });
+            (*share, shorts)
         };
-        let pairs = tables.entries.iter().zip(&mut short.entries);
-        let can_be = simd::dispatch(Shorten {
-            shading: shading.map_or(&UNLIT[..], ShadingTable::entries),
-            lights: &mut short.lights,
-            tables: pairs.map(|((_, entries), (_, shorts))| (&entries[..], &mut shorts[..])).collect(),
-        });
-        can_be.then_some(short)
+        Some(Self { entries: tables.entries.iter().map(shorten).collect(), lights })
     }
 }
 
@@ -575,11 +608,10 @@ impl<'a> Shader for ShortMaterial<'a> {
 
     #[inline(always)]
     fn slice(&self, share: f64) -> ShortSlice<'a> {
-        let (Some(table), Some(lights)) = (table_of(&self.0.entries, share).first_chunk(), self.0.lights.first_chunk())
-        else {
+        let Some(table) = table_of(&self.0.entries, share).first_chunk() else {
             unreachable!("tables are for any code")
         };
-        ShortSlice { table, lights }
+        ShortSlice { table, lights: self.0.lights.by_any_code() }
     }
 }
 

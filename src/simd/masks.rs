@@ -28,6 +28,10 @@ pub trait Masks {
     /// Finds the pixels that are `open` and `within` what they may be in, and touch a voxel of either scanline. Gives the first word and past
     /// the last in which there are any; where there is none, the latter is 0. Scanlines and open pixels have a word more than there are.
     fn touch(scanlines: [&[u64]; 2], open: &[u64], over: Over, within: &[u64], found: Found<'_>) -> [usize; 2];
+
+    /// Finds the pixels that are `open` and over a cell of either scanline: of those that are `within` it, each raised by so many bits (0..64). What
+    /// is raised above the last word is lost. True where there are any. Words are as many as those of `within`, a multiple of [`FOUR`].
+    fn over_cells(scanlines: [(&[u64], u32); 2], within: &[u64], open: [&[u64]; 2], pixels: &mut [u64]) -> bool;
 }
 
 /// The last bit of every four.
@@ -64,10 +68,64 @@ impl Masks for Portable {
         }
         [from, to]
     }
+
+    #[inline(always)]
+    fn over_cells(scanlines: [(&[u64], u32); 2], within: &[u64], open: [&[u64]; 2], pixels: &mut [u64]) -> bool {
+        let (mut any, mut before) = (0, [0; 2]);
+        for (n, within) in within.iter().enumerate() {
+            let mut raised = 0;
+            for ((cells, shift), before) in scanlines.iter().zip(&mut before) {
+                let cells = cells[n] & within;
+                raised |= cells << shift | *before >> 1 >> (63 - shift);
+                *before = cells;
+            }
+            pixels[n] = raised & open[0][n] & open[1][n];
+            any |= pixels[n];
+        }
+        any != 0
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
 impl Masks for super::wide::Avx2 {
+    #[inline(always)]
+    fn over_cells(scanlines: [(&[u64], u32); 2], within: &[u64], open: [&[u64]; 2], pixels: &mut [u64]) -> bool {
+        use std::arch::x86_64::*;
+
+        let count = within.len();
+        let [(front, front_shift), (back, back_shift)] = scanlines;
+        let lengths = [front.len(), back.len(), open[0].len(), open[1].len(), pixels.len()];
+        assert!(count.is_multiple_of(FOUR) && lengths.iter().all(|length| *length >= count), "words by fours");
+        // SAFETY: whoever takes this way has found AVX2. Four words are read and written from each multiple of four below the count on.
+        unsafe {
+            let shift = |bits: u32| _mm_cvtsi32_si128(bits as i32);
+            // All bits are gone where the count is 64.
+            let shifts = [(shift(front_shift), shift(64 - front_shift)), (shift(back_shift), shift(64 - back_shift))];
+            let (mut any, mut carried) = (_mm256_setzero_si256(), [_mm256_setzero_si256(); 2]);
+            for at in (0..count).step_by(FOUR) {
+                let within = _mm256_loadu_si256(within.as_ptr().add(at).cast());
+                let mut raised = _mm256_setzero_si256();
+                for n in 0..2 {
+                    let cells = if n == 0 { front } else { back };
+                    let cells = _mm256_and_si256(_mm256_loadu_si256(cells.as_ptr().add(at).cast()), within);
+                    // Each word's lower neighbour; the lowest one's is the last word before.
+                    let turned = _mm256_permute4x64_epi64::<0b10_01_00_11>(cells);
+                    let lower = _mm256_blend_epi32::<0b11>(turned, carried[n]);
+                    carried[n] = turned;
+                    let (up, down) = shifts[n];
+                    let both = _mm256_or_si256(_mm256_sll_epi64(cells, up), _mm256_srl_epi64(lower, down));
+                    raised = _mm256_or_si256(raised, both);
+                }
+                for open in open {
+                    raised = _mm256_and_si256(raised, _mm256_loadu_si256(open.as_ptr().add(at).cast()));
+                }
+                _mm256_storeu_si256(pixels.as_mut_ptr().add(at).cast(), raised);
+                any = _mm256_or_si256(any, raised);
+            }
+            _mm256_testz_si256(any, any) == 0
+        }
+    }
+
     #[inline(always)]
     fn touch(
         [upper, lower]: [&[u64]; 2],
@@ -148,15 +206,24 @@ mod tests {
         within: [u64; WORDS],
     }
 
-    /// What is touched, what is asked for, and which words.
-    type Output = ([u64; WORDS], [u64; WORDS], [usize; 2]);
+    /// What is touched, what is asked for, and which words; what is over cells, and whether anything is.
+    type Output = ([u64; WORDS], [u64; WORDS], [usize; 2], ([u64; WORDS], bool));
 
     impl Step {
         fn touch<W: Masks>(&self) -> Output {
             let (mut touched, mut asked, [upper, lower]) = ([7; WORDS], [7; WORDS], &self.scanlines);
             let found = Found { touched: &mut touched, asked: &mut asked };
             let range = W::touch([upper, lower], &self.open, self.over, &self.within, found);
-            (touched, asked, range)
+            let mut over = [7; WORDS];
+            let [front, back] = self.raised();
+            let open = [&self.open[..], &self.within[..]];
+            let any = W::over_cells([(upper, front), (lower, back)], &self.within, open, &mut over);
+            (touched, asked, range, (over, any))
+        }
+
+        /// By how much either scanline is raised.
+        fn raised(&self) -> [u32; 2] {
+            [self.over.shift, if self.over.between { 63 - self.over.shift } else { self.over.shift }]
         }
     }
 
@@ -196,7 +263,7 @@ mod tests {
             let bit = |words: &[u64], at: usize| words.get(at / 64).is_some_and(|word| word >> (at % 64) & 1 == 1);
             let voxel = |i: usize| step.scanlines.iter().any(|marks| bit(marks, i));
             let [plain, wide] = dispatch(&step);
-            let (touched, asked, [from, to]) = plain;
+            let (touched, asked, [from, to], _) = plain;
             for i in 0..WORDS * 64 {
                 let touches = voxel(i) || between && voxel(i + 1);
                 prop_assert_eq!(bit(&touched, i), touches && bit(&open, i + shift as usize) && bit(&within, i), "{}", i);
@@ -205,6 +272,14 @@ mod tests {
                 let needs = |i: usize| bit(&touched, i) || i > 0 && bit(&touched, i - 1);
                 prop_assert_eq!(bit(&asked, i), i % 4 == 0 && (i..i + 4).any(needs), "{}", i);
             }
+            let cells = plain.3;
+            for i in 0..WORDS * 64 {
+                let over = step.scanlines.iter().zip(step.raised()).any(|(cells, shift)| {
+                    i.checked_sub(shift as usize).is_some_and(|i| bit(cells, i) && bit(&within, i))
+                });
+                prop_assert_eq!(bit(&cells.0, i), over && bit(&open, i) && bit(&within, i), "{}", i);
+            }
+            prop_assert_eq!(cells.1, cells.0 != [0; WORDS]);
             let words = (0..WORDS).filter(|n| touched[*n] != 0);
             prop_assert_eq!(words.clone().min().unwrap_or(usize::MAX), from);
             prop_assert_eq!(words.max().map_or(0, |last| last + 1), to);

@@ -170,16 +170,21 @@ impl<'a, T> Scanlines<'a, T> {
     where
         T: Copy,
     {
-        let row = self.row(j, k);
-        match row.get(i..).and_then(<[T]>::first_chunk) {
-            Some(four) => *four,
-            None => at_the_end(row, i),
-        }
+        four_of(self.row(j, k), i)
     }
 
     /// How many scanlines are stored before scanline `j` of slice `k`.
     pub fn place(&self, j: usize, k: usize) -> usize {
         (j * self.strides[0] + k * self.strides[1]) / self.dims[0]
+    }
+}
+
+/// Four voxels of a scanline, its last one repeated past its end.
+#[inline(always)]
+pub fn four_of<T: Copy>(row: &[T], first: usize) -> [T; 4] {
+    match row.get(first..).and_then(<[T]>::first_chunk) {
+        Some(four) => *four,
+        None => at_the_end(row, first),
     }
 }
 

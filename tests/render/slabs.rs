@@ -8,7 +8,7 @@ use shearwarp::render::{
 };
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
-use crate::scenes::{ANGLES, Prepared, plain, same_bits, transfer};
+use crate::scenes::{ANGLES, Prepared, plain, premultiplied, same_bits, transfer};
 
 /// Smooth lumps with empty space between them, some of them cut by the volume's sides.
 fn lump([x, y, z]: [usize; 3]) -> f64 {
@@ -64,6 +64,7 @@ fn all_settings() -> Vec<Settings> {
     let cueing = Some(DepthCueing { front: 1.2, density: 0.7 });
     vec![
         Settings { shading: Some(two_lights.clone()), ..slabs() },
+        slabs(),
         Settings { preintegration: options(Lookup::Nearest, OpacityCorrection::Off, 1), ..slabs() },
         Settings { preintegration: options(Lookup::Bilinear, OpacityCorrection::Lookup, 3), ..slabs() },
         Settings {
@@ -88,7 +89,7 @@ fn all_settings() -> Vec<Settings> {
 
 #[test]
 fn skipping_encodings_buffers_and_threads_change_no_bit_along_any_axis() {
-    for (bits, function) in [(8, surface()), (16, by_gradient())] {
+    for (bits, function) in [(8, surface()), (16, surface()), (16, by_gradient())] {
         let scene = Prepared::new(lumps([140, 37, 45], [1.0, 1.5, 0.8], bits), function, 0.0);
         for angles in ANGLES {
             for settings in all_settings() {
@@ -110,7 +111,7 @@ proptest! {
         low in 0.0f64..200.0,
         opacity in 0.05f64..1.0,
         termination in 0.5f32..=1.0,
-        which in 0usize..7,
+        which in 0usize..8,
     ) {
         let scalars = (0..dims.iter().product()).map(|at: usize| codes[at / 5 % 97]).collect();
         let report = ImportReport::plain("test", ScalarType::U8);
@@ -120,6 +121,26 @@ proptest! {
         let scene = Prepared::new(volume, function, 0.0);
         let settings = Settings { early_ray_termination: termination, ..all_settings()[which].clone() };
         same_bits(&scene, &scene.view(&orbit(angles), 47, 40), &settings);
+    }
+}
+
+/// Depth cueing of no density fades nothing, but asks for floats.
+#[test]
+fn fractions_of_16_bits_show_what_floats_show() {
+    for bits in [8, 16] {
+        let scene = Prepared::new(lumps([140, 37, 45], [1.0, 1.5, 0.8], bits), surface(), 0.0);
+        for angles in ANGLES {
+            for settings in all_settings().into_iter().take(2) {
+                let view = scene.view(&orbit(angles), 90, 80);
+                let clear = Some(DepthCueing { front: 1.0, density: 0.0 });
+                let floats = scene.frame(&view, &Settings { depth_cueing: clear, ..settings.clone() });
+                let frame = scene.frame(&view, &settings);
+                let off = premultiplied(&frame).flatten().zip(premultiplied(&floats).flatten());
+                let most = off.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                assert!(most <= 3.5, "{bits} bits, {angles:?}: {most} {:?}", settings.shading);
+                assert!(most > 0.0, "{bits} bits, {angles:?}: no fractions at all?");
+            }
+        }
     }
 }
 

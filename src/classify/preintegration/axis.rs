@@ -106,6 +106,11 @@ impl SlabAxis {
         W::linear(&self.knots, &W::indices(&[0.0; LANES], &knots, 0.0), &shares)
     }
 
+    /// True where each code has an entry of its own.
+    pub(super) fn are_codes(&self) -> bool {
+        self.knots.is_empty()
+    }
+
     /// Entries along the axis.
     pub fn entries(&self) -> usize {
         self.entries

@@ -1,24 +1,21 @@
 //! The newest tables, for another frame of the same view or of one whose slabs are as long.
 //!
-//! A client that turns a volume asks for another length with every frame and comes back to few, and a
-//! table takes a fraction of a millisecond: so few are kept. One is made without a lock. Two
+//! A client that turns a volume asks for another length with every frame, and comes back to it: turning by four degrees meets two dozen of them, over
+//! and over. One is made without a lock. Two
 //! frames that want the same at once both make it, which costs less than a thread of the pool that
 //! waits for another, and might wait for itself.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// Values that are kept.
-pub const KEPT: usize = 4;
-
-/// Values by key.
+/// So many values by key.
 #[derive(Debug)]
-pub struct Kept<K, T> {
+pub struct Kept<K, T, const COUNT: usize> {
     /// The oldest one first.
     newest: Mutex<VecDeque<(K, Arc<T>)>>,
 }
 
-impl<K: Copy + PartialEq, T> Kept<K, T> {
+impl<K: Copy + PartialEq, T, const COUNT: usize> Kept<K, T, COUNT> {
     /// Nothing yet.
     pub fn new() -> Self {
         Self { newest: Mutex::default() }
@@ -34,7 +31,7 @@ impl<K: Copy + PartialEq, T> Kept<K, T> {
             let value = Arc::new(make());
             let mut newest = self.lock();
             find(&newest).unwrap_or_else(|| {
-                if newest.len() == KEPT {
+                if newest.len() == COUNT {
                     newest.pop_front();
                 }
                 newest.push_back((key, Arc::clone(&value)));
@@ -55,18 +52,18 @@ mod tests {
 
     #[test]
     fn the_newest_are_kept_and_no_more() {
-        let kept = Kept::new();
+        let kept = Kept::<_, _, 4>::new();
         let made: Vec<_> = (0..10).map(|key| kept.get(key, || key)).collect();
-        for key in (0..10).rev().take(KEPT) {
+        for key in (0..10).rev().take(4) {
             assert!(Arc::ptr_eq(&made[key], &kept.get(key, || unreachable!("kept"))));
         }
-        assert_eq!(kept.lock().len(), KEPT);
+        assert_eq!(kept.lock().len(), 4);
         assert!(!Arc::ptr_eq(&made[0], &kept.get(0, || 0)), "made anew");
     }
 
     #[test]
     fn a_value_made_meanwhile_by_another_is_shared() {
-        let kept = Kept::new();
+        let kept = Kept::<_, _, 4>::new();
         let outer = kept.get(1, || {
             kept.get(1, || 7);
             8

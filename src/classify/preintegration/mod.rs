@@ -20,11 +20,12 @@ mod kept;
 mod medium;
 mod ranges;
 mod running;
+mod shorts;
 mod table;
 #[cfg(test)]
 mod tests;
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec4;
 
@@ -32,11 +33,12 @@ use super::transfer::TransferFunction;
 use crate::simd::wide::{LANES, Lanes, Wide, rows};
 use crate::volume::Volume;
 pub use axis::SlabAxis;
-use kept::{KEPT, Kept};
+use kept::Kept;
 use medium::Medium;
 use ranges::Ranges;
 use running::Scale;
 pub use running::{OneDimensional, RunningSums};
+pub use shorts::{ShortAxis, ShortSlabTable};
 pub use table::{Bilinear, Nearest, SlabTable};
 
 /// What all slab tables of a volume under a transfer function share, and the newest of those tables.
@@ -44,12 +46,17 @@ pub use table::{Bilinear, Nearest, SlabTable};
 pub struct SlabTables {
     medium: Medium,
     axis: Arc<SlabAxis>,
+    /// First and last.
+    codes: (u16, u16),
+    /// Made when it is first asked for; `None` inside where there are too many codes or entries for it.
+    short_axis: OnceLock<Option<Arc<ShortAxis>>>,
     scale: Scale,
     /// Codes at which a slab may show something, one flag for each.
     visible: Vec<bool>,
     ranges: Ranges,
-    tables: Kept<(Form, u32), SlabTable>,
-    sums: Kept<(Form, u32), RunningSums>,
+    tables: Kept<(Form, u32), SlabTable, KEPT>,
+    short_tables: Kept<u32, ShortSlabTable, SHORT_KEPT>,
+    sums: Kept<(Form, u32), RunningSums, KEPT>,
 }
 
 /// A way to read slabs.
@@ -103,6 +110,15 @@ impl Form {
     }
 }
 
+/// Tables of floats that are kept, and as many running sums.
+const KEPT: usize = 4;
+
+/// Tables of 16-bit fractions that are kept: half a megabyte each.
+const SHORT_KEPT: usize = 32;
+
+/// By how much rounding slabs to 16 bits may change a ray's opacity, at worst.
+const GREATEST_ERROR: f32 = 1.0 / 128.0;
+
 /// Rounding of a sampled scalar: what is resampled from voxels of code `c` alone is within `c * ROUNDING`.
 const ROUNDING: f32 = 1e-5;
 
@@ -124,7 +140,18 @@ impl SlabTables {
             (two.0.min(one.0), two.1.max(one.1))
         };
         let visible = visible_codes(&medium, last, reach);
-        Self { visible, axis: Arc::new(axis), medium, scale, ranges, tables: Kept::new(), sums: Kept::new() }
+        Self {
+            visible,
+            axis: Arc::new(axis),
+            codes,
+            short_axis: OnceLock::new(),
+            medium,
+            scale,
+            ranges,
+            tables: Kept::new(),
+            short_tables: Kept::new(),
+            sums: Kept::new(),
+        }
     }
 
     /// A flag for each code, 0 up to the volume's largest: true where a slab that reaches the code may
@@ -142,6 +169,20 @@ impl SlabTables {
         self.tables.get((form, length.to_bits()), make)
     }
 
+    /// The table for slabs of `length` mm in 16-bit fractions, made if it is not there yet. `None` where these will not do: where there are more than
+    /// fifteen bits of codes or more entries than 256, or where rounding may change the opacity of a ray through `count` slabs by more than
+    /// [`GREATEST_ERROR`].
+    pub fn short_table(&self, length: f32, count: usize) -> Option<Arc<ShortSlabTable>> {
+        let length = rounded(length);
+        let axis = || ShortAxis::new(&self.axis, self.codes).map(Arc::new);
+        let axis = self.short_axis.get_or_init(axis).as_ref()?;
+        if shorts::error(&self.ranges, length, count) > GREATEST_ERROR {
+            return None;
+        }
+        let make = || ShortSlabTable::new(&self.ranges, Arc::clone(axis), length);
+        Some(self.short_tables.get(length.to_bits(), make))
+    }
+
     /// The running sums for slabs of `length` mm (above 0), made if they are not there yet; rounded as
     /// tables are.
     pub fn running_sums(&self, form: Form, length: f32) -> Arc<RunningSums> {
@@ -153,7 +194,8 @@ impl SlabTables {
     /// Bytes in memory, once as many tables were made as are kept.
     pub fn bytes(&self) -> u64 {
         let shared = self.medium.bytes() + self.axis.bytes() + self.ranges.bytes() + self.visible.len() as u64;
-        shared + KEPT as u64 * (SlabTable::bytes(self.axis.entries()) + RunningSums::bytes(self.scale))
+        let tables = SlabTable::bytes(self.axis.entries()) + RunningSums::bytes(self.scale);
+        shared + ShortAxis::bytes() + KEPT as u64 * tables + SHORT_KEPT as u64 * ShortSlabTable::bytes()
     }
 }
 

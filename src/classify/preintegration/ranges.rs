@@ -22,6 +22,8 @@ use rayon::prelude::*;
 
 use super::Form;
 use super::medium::{Medium, Stretch};
+use crate::simd::wide::{LANES, Lanes, least, most};
+use crate::simd::{self, Kernel};
 
 /// Colours err by at most this where a range is taken for its two moments: a thirtieth of what 8 bits
 /// tell apart.
@@ -63,6 +65,26 @@ struct Range {
     tilt: Vec4,
 }
 
+/// Ranges from an entry to eight others, by component.
+#[derive(Clone, Copy, Debug, Default)]
+struct EightRanges {
+    /// Mean colour and depth.
+    mean: [Lanes; 4],
+    /// Half the change, and the largest third moment.
+    tilt: [Lanes; 4],
+}
+
+/// Slabs from an entry to eight others and back, by component.
+#[derive(Clone, Copy, Debug)]
+pub struct EightSlabs {
+    /// Premultiplied colour towards the later entry, and opacity.
+    pub up: [Lanes; 4],
+    /// The same of the way back.
+    pub down: [Lanes; 4],
+    /// Optical depth.
+    pub depth: Lanes,
+}
+
 /// All ranges between a table's entries.
 #[derive(Clone, Debug)]
 pub struct Ranges {
@@ -71,8 +93,8 @@ pub struct Ranges {
     /// Stretches between an entry and the next, from `starts[entry]` to `starts[entry + 1]`.
     stretches: Vec<Range>,
     starts: Vec<u32>,
-    /// From each entry on to each later one: from entry f to b at `[f][b - f - 1]`.
-    ranges: Vec<Vec<Range>>,
+    /// From each entry on to each later one, by eights: from entry f to b in `[f]`, lane b - f - 1.
+    ranges: Vec<Vec<EightRanges>>,
     /// Colour, and extinction per mm, at each entry.
     media: Vec<Vec4>,
 }
@@ -112,7 +134,14 @@ impl Ranges {
                 moments = moments.then(intervals[at], share as f32);
                 Range::new(moments, depth)
             });
-            to_each.collect()
+            let mut eights = Vec::with_capacity((entries - from).div_ceil(LANES));
+            for (n, range) in to_each.enumerate() {
+                if n % LANES == 0 {
+                    eights.push(EightRanges::default());
+                }
+                eights[n / LANES].set(n % LANES, range);
+            }
+            eights
         });
         Self { ranges: ranges.collect(), codes, stretches, starts, media }
     }
@@ -137,25 +166,26 @@ impl Ranges {
     pub fn constant(&self, entry: usize, length: f32, form: Form) -> Vec4 {
         let medium = self.media[entry];
         let depth = medium.w * length;
-        let [opacity, _] = light(depth);
+        let [[opacity], _] = light(&[depth]);
         form.slab((medium * opacity).with_w(opacity), depth)
     }
 
-    /// The slabs of `length` mm from an entry to each later one, and back.
-    pub fn slabs(&self, from: usize, length: f32, form: Form) -> Vec<[Vec4; 2]> {
-        let slab = |(n, range): (usize, &Range)| {
-            let to = from + n + 1;
-            let scale = length / (self.codes[to] - self.codes[from]) as f32;
-            let mut slabs = [Vec4::ZERO; 2];
-            self.composite(from, to, scale, &mut slabs);
-            slabs.map(|slab| form.slab(slab, range.mean.w * scale))
-        };
-        self.ranges[from].iter().enumerate().map(slab).collect()
+    /// The slabs of `length` mm from an entry to each later one, and back. Of the last eight those past the last entry mean nothing.
+    pub fn slabs(&self, from: usize, length: f32) -> Vec<EightSlabs> {
+        simd::dispatch(Row { ranges: self, from, length })
+    }
+
+    /// The range between two entries.
+    fn range(&self, from: usize, to: usize) -> Range {
+        let n = to - from - 1;
+        let EightRanges { mean, tilt } = &self.ranges[from][n / LANES];
+        let of = |lanes: &[Lanes; 4]| Vec4::from_array(lanes.map(|lanes| lanes[n % LANES]));
+        Range { mean: of(mean), tilt: of(tilt) }
     }
 
     /// Composites the range between two entries behind the first of `slabs` and before the second.
     fn composite(&self, from: usize, to: usize, scale: f32, slabs: &mut [Vec4; 2]) {
-        let range = &self.ranges[from][to - from - 1];
+        let range = self.range(from, to);
         let depth = range.mean.w * scale;
         if depth * depth * depth * range.tilt.w <= 12.0 * TOLERANCE {
             range.composite(depth, slabs);
@@ -172,6 +202,146 @@ impl Ranges {
     }
 }
 
+impl EightRanges {
+    fn set(&mut self, lane: usize, range: Range) {
+        for n in 0..4 {
+            self.mean[n][lane] = range.mean[n];
+            self.tilt[n][lane] = range.tilt[n];
+        }
+    }
+}
+
+/// The slabs of one front entry.
+struct Row<'a> {
+    ranges: &'a Ranges,
+    from: usize,
+    length: f32,
+}
+
+impl Kernel for Row<'_> {
+    type Output = Vec<EightSlabs>;
+
+    /// What [`Ranges::composite`] does to one, for eight at once; those that must be cut are left to it.
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { ranges, from, length } = self;
+        let codes = &ranges.codes;
+        let mut slabs = Vec::with_capacity(ranges.ranges[from].len());
+        for (at, eight) in ranges.ranges[from].iter().enumerate() {
+            let first = from + 1 + at * LANES;
+            let mut gaps = [0.0; LANES];
+            match codes.get(first..).and_then(<[f64]>::first_chunk::<LANES>) {
+                Some(codes_to) => {
+                    for n in 0..LANES {
+                        gaps[n] = (codes_to[n] - codes[from]) as f32;
+                    }
+                }
+                None => {
+                    for n in 0..LANES {
+                        gaps[n] = (codes[(first + n).min(codes.len() - 1)] - codes[from]) as f32;
+                    }
+                }
+            }
+            let mut scale = [0.0; LANES];
+            for n in 0..LANES {
+                scale[n] = length / gaps[n];
+            }
+            let (mut found, mut deep) = eight.slabs(&scale);
+            deep &= (1u64 << (codes.len() - first).min(LANES)).wrapping_sub(1) as u32;
+            if deep != 0 {
+                // Most are not too deep once they are cut in two.
+                let [near, far] = ranges.halves(from, first, deep).map(|halves| halves.slabs(&scale));
+                let (cut, still_deep) = (EightSlabs::over(&near.0, &far.0, found.depth), near.1 | far.1);
+                let mut left = deep;
+                while left != 0 {
+                    let n = left.trailing_zeros() as usize;
+                    left &= left - 1;
+                    let to = first + n;
+                    if still_deep >> n & 1 == 1 || to == from + 1 {
+                        let mut slabs = [Vec4::ZERO; 2];
+                        ranges.composite(from, to, scale[n], &mut slabs);
+                        found.set(n, slabs);
+                    } else {
+                        found.set(n, cut.lane(n));
+                    }
+                }
+            }
+            slabs.push(found);
+        }
+        slabs
+    }
+}
+
+impl Ranges {
+    /// The ranges from an entry to the one in the middle of each of eight ranges from it, and from there on: in those `lanes` that are set, and have a middle.
+    #[inline(always)]
+    fn halves(&self, from: usize, first: usize, lanes: u32) -> [EightRanges; 2] {
+        let mut halves = [EightRanges::default(); 2];
+        for n in 0..LANES {
+            let to = first + n;
+            if lanes >> n & 1 == 1 && to > from + 1 {
+                let middle = from.midpoint(to);
+                halves[0].set(n, self.range(from, middle));
+                halves[1].set(n, self.range(middle, to));
+            }
+        }
+        halves
+    }
+}
+
+impl EightRanges {
+    /// Slabs of so much of each range's depth, and those of them, a bit for each, that should be cut.
+    #[inline(always)]
+    fn slabs(&self, scale: &Lanes) -> (EightSlabs, u32) {
+        let Self { mean, tilt } = self;
+        let (mut depth, mut deep) = ([0.0; LANES], 0);
+        for n in 0..LANES {
+            depth[n] = mean[3][n] * scale[n];
+            let is_deep = depth[n] * depth[n] * depth[n] * tilt[3][n] > 12.0 * TOLERANCE;
+            deep |= u32::from(is_deep) << n;
+        }
+        let [opacity, behind] = light(&depth);
+        let mut slabs = EightSlabs { up: [opacity; 4], down: [opacity; 4], depth };
+        for c in 0..3 {
+            for n in 0..LANES {
+                let (even, odd) = (mean[c][n] * opacity[n], tilt[c][n] * (2.0 * behind[n] - opacity[n]));
+                // A linear colour may leave 0..=1 where the true one does not.
+                slabs.up[c][n] = least(most(even + odd, 0.0), opacity[n]);
+                slabs.down[c][n] = least(most(even - odd, 0.0), opacity[n]);
+            }
+        }
+        (slabs, deep)
+    }
+}
+
+impl EightSlabs {
+    /// Slabs on the way up before others, and behind them on the way down.
+    #[inline(always)]
+    fn over(near: &Self, far: &Self, depth: Lanes) -> Self {
+        let mut over = Self { up: near.up, down: far.down, depth };
+        for c in 0..4 {
+            for n in 0..LANES {
+                over.up[c][n] += far.up[c][n] * (1.0 - near.up[3][n]);
+                over.down[c][n] += near.down[c][n] * (1.0 - far.down[3][n]);
+            }
+        }
+        over
+    }
+
+    /// The slabs of a lane.
+    #[inline(always)]
+    pub fn lane(&self, n: usize) -> [Vec4; 2] {
+        [&self.up, &self.down].map(|of| Vec4::from_array(of.map(|lanes| lanes[n])))
+    }
+
+    fn set(&mut self, n: usize, [up, down]: [Vec4; 2]) {
+        for c in 0..4 {
+            self.up[c][n] = up[c];
+            self.down[c][n] = down[c];
+        }
+    }
+}
+
 impl Range {
     fn new(Moments { mean, tilt, bend }: Moments, depth: f64) -> Self {
         Self { mean: mean.with_w(depth as f32), tilt: tilt.with_w(bend.abs().max_element()) }
@@ -180,7 +350,7 @@ impl Range {
     /// Composites the range, of optical depth `depth`, behind the first of `slabs` and, turned
     /// round, before the second.
     fn composite(&self, depth: f32, [up, down]: &mut [Vec4; 2]) {
-        let [opacity, behind] = light(depth);
+        let [[opacity], [behind]] = light(&[depth]);
         let (even, odd) = (self.mean * opacity, self.tilt * (2.0 * behind - opacity));
         // A linear colour may leave 0..=1 where the true one does not.
         let light = |light: Vec4| light.clamp(Vec4::ZERO, Vec4::splat(opacity)).with_w(opacity);
@@ -200,19 +370,40 @@ fn over(front: Vec4, back: Vec4) -> Vec4 {
 /// The series for a small depth, then doublings: of two halves the farther one's light is dimmed by
 /// the nearer one. All terms are positive, so that small depths lose no digits, and there is no
 /// exponential whose last bits a library might choose.
-fn light(depth: f32) -> [f32; 2] {
+#[inline(always)]
+fn light<const N: usize>(depth: &[f32; N]) -> [[f32; N]; 2] {
     // A deep slab is opaque, but how far the light comes from still falls with its depth.
-    let mut x = depth.min(f32::MAX);
-    let mut doublings = 0;
-    while x > 0.25 {
-        x *= 0.5;
-        doublings += 1;
+    let (mut x, mut doublings) = ([0.0; N], [0; N]);
+    for n in 0..N {
+        x[n] = least(depth[n], f32::MAX);
     }
-    let mut opacity = x * (1.0 - x * (1.0 / 2.0 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0)))));
-    let mut behind = x * (1.0 / 2.0 - x * (1.0 / 3.0 - x * (1.0 / 8.0 - x * (1.0 / 30.0 - x * (1.0 / 144.0)))));
-    for _ in 0..doublings {
-        behind = 0.5 * (behind * (2.0 - opacity) + opacity * (1.0 - opacity));
-        opacity *= 2.0 - opacity;
+    let mut most_doublings = 0;
+    loop {
+        let mut is_any_deep = false;
+        for n in 0..N {
+            let is_deep = x[n] > 0.25;
+            x[n] *= if is_deep { 0.5 } else { 1.0 };
+            doublings[n] += i32::from(is_deep);
+            is_any_deep |= is_deep;
+        }
+        if !is_any_deep {
+            break;
+        }
+        most_doublings += 1;
+    }
+    let (mut opacity, mut behind) = ([0.0; N], [0.0; N]);
+    for n in 0..N {
+        let x = x[n];
+        opacity[n] = x * (1.0 - x * (1.0 / 2.0 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0)))));
+        behind[n] = x * (1.0 / 2.0 - x * (1.0 / 3.0 - x * (1.0 / 8.0 - x * (1.0 / 30.0 - x * (1.0 / 144.0)))));
+    }
+    for doubling in 0..most_doublings {
+        for n in 0..N {
+            let is_left = doubling < doublings[n];
+            let farther = 0.5 * (behind[n] * (2.0 - opacity[n]) + opacity[n] * (1.0 - opacity[n]));
+            behind[n] = if is_left { farther } else { behind[n] };
+            opacity[n] *= if is_left { 2.0 - opacity[n] } else { 1.0 };
+        }
     }
     [opacity, behind]
 }

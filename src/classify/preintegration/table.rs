@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use super::fixed::{nearest, split};
 use super::ranges::Ranges;
 use super::{Form, SlabAxis, Slabs};
-use crate::simd::wide::{Lanes, Wide};
+use crate::simd::wide::{LANES, Lanes, Wide};
 
 /// A table of slabs of one length.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +35,15 @@ impl SlabTable {
     /// Integrates the slabs of `length` mm.
     pub(super) fn new(ranges: &Ranges, axis: Arc<SlabAxis>, form: Form, length: f32) -> Self {
         let entries = axis.entries();
-        let slabs: Vec<_> = (0..entries).into_par_iter().map(|from| ranges.slabs(from, length, form)).collect();
+        let slabs: Vec<_> = (0..entries)
+            .into_par_iter()
+            .map(|from| {
+                let to_each = ranges.slabs(from, length).into_iter().flat_map(|eight| {
+                    (0..LANES).map(move |n| eight.lane(n).map(|slab| form.slab(slab, eight.depth[n])))
+                });
+                to_each.collect::<Vec<_>>()
+            })
+            .collect();
         let stride = entries + 1;
         let mut table = vec![Vec4::ZERO; stride * (entries + 1)];
         table.par_chunks_mut(stride).enumerate().for_each(|(front, row)| {

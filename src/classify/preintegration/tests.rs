@@ -4,6 +4,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::classify::transfer::extinction;
 use crate::classify::{Color, ControlPoint};
+use crate::simd::shorts::{SLAB_ENTRIES, UNIT};
 use crate::simd::wide::Portable;
 use crate::volume::phantom;
 
@@ -94,6 +95,34 @@ proptest! {
     }
 
     #[test]
+    fn entries_of_16_bits_are_those_of_floats_and_scalars_lie_where_codes_do(
+        transfer in any_transfer(600.0),
+        low in 0u16..10,
+        high in 20u16..600,
+        length in prop_oneof![Just(1f32), 0.1f32..3.0],
+    ) {
+        let tables = SlabTables::new(&volume(low, high), &transfer, 256);
+        let table = tables.table(Form::Opacity, length);
+        let short = tables.short_table(length, 100).expect("no error comes near the greatest within 100 slabs");
+        let unit = f32::from(UNIT);
+        let entries = table.axis().entries();
+        for (front, back) in (0..=entries).flat_map(|front| (0..=entries).map(move |back| (front, back))) {
+            let slab = Vec4::from_array(short.slabs()[front * SLAB_ENTRIES + back].0.map(f32::from)) / unit;
+            let exact = table.nearest(front.min(entries - 1) as f32, back.min(entries - 1) as f32);
+            prop_assert!((slab - exact).abs().max_element() <= 0.51 / unit, "{front} {back}: {slab}, not {exact}");
+        }
+        let positions = |scalar: i16| short.axis().positions().map_or(scalar, |positions| positions[scalar as usize]);
+        let mut last = 0;
+        for code in low..=high {
+            let position = positions(short.axis().scalars().of(code));
+            let exact = table.axis().coordinate(code.into());
+            prop_assert!((f32::from(position) / 128.0 - exact).abs() <= 0.51 / 128.0, "{code}: {position}, not {exact}");
+            prop_assert!(position >= last);
+            last = position;
+        }
+    }
+
+    #[test]
     fn running_sums_are_never_more_opaque_than_exact_and_their_depths_are(
         transfer in any_transfer(60.0),
         length in 0.2f32..3.0,
@@ -165,6 +194,22 @@ fn stretch(transfer: &TransferFunction, factor: f64) -> TransferFunction {
 }
 
 /// Its colour is that of its front, and of what is seen a little way in.
+/// Of a scalar whose slabs are all as far off, many off by half a step each.
+#[test]
+fn media_too_clear_for_16_bits_have_none() {
+    let opacity = |fractions: f64| transfer(&[(0.0, fractions / f64::from(UNIT), [1.0; 3])]);
+    let small = volume(0, 10);
+    let is_there =
+        |fractions, count| SlabTables::new(&small, &opacity(fractions), 256).short_table(1.0, count).is_some();
+    assert!(is_there(2.5, 100));
+    assert!(!is_there(2.5, 1000));
+    assert!(is_there(2.0, 1000), "nothing is off");
+    assert!(is_there(200.5, 100_000), "what is seen is off by a 400th of it");
+    let sixteen = phantom::from_fn([2, 2, 2], [1.0; 3], |i, j, k| 20_000.0 * (i + j + k) as f64);
+    assert!(SlabTables::new(&sixteen, &opacity(1e4), 256).short_table(1.0, 10).is_none(), "more codes than scalars");
+    assert!(SlabTables::new(&volume(0, 999), &opacity(1e4), 999).short_table(1.0, 10).is_none());
+}
+
 #[test]
 fn an_opaque_slab_shows_less_of_its_depth_the_deeper_it_is() {
     let volume = volume(0, 50);

@@ -19,7 +19,8 @@ use super::scaled::ScaledRows;
 use super::{WORD, first_run, run_mask};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, SlicePlacement};
-use crate::render::simd::prefetch;
+use crate::render::simd::prefetch_at;
+use crate::render::simd::shorts::Shorts;
 
 /// A way for pixels to lie over slices.
 pub trait Lattice: Copy + Debug + Send + Sync + 'static {
@@ -46,13 +47,15 @@ pub trait Lattice: Copy + Debug + Send + Sync + 'static {
     fn buffer_base(placement: &Self::Placement) -> isize;
 
     /// Makes `pixels` those of scanline `v` whose rays pass a marked cell of a `layer` between the slices
-    /// at `ends`, or perhaps a neighbour of it. False, and `pixels` as they were, where there is none.
-    fn mark(
+    /// at `ends`, or perhaps a neighbour of it, and which are set in both masks of `open`. False where there is none; what `pixels` are then means
+    /// nothing.
+    fn mark<W: Shorts>(
         factorization: &Factorization,
         occupied: &Occupied<'_>,
         layer: usize,
         ends: [&Self::Placement; 2],
         v: usize,
+        open: (&[u64], &Mask),
         pixels: &mut Mask,
     ) -> bool;
 
@@ -104,30 +107,25 @@ impl Lattice for Unit {
     }
 
     #[inline(always)]
-    fn mark(
+    fn mark<W: Shorts>(
         factorization: &Factorization,
         occupied: &Occupied<'_>,
         layer: usize,
         ends: [&SlicePlacement; 2],
         v: usize,
+        (open, inside): (&[u64], &Mask),
         pixels: &mut Mask,
     ) -> bool {
         let [ni, nj, nk] = factorization.dims;
         let [j_front, j_back] =
             ends.map(|SlicePlacement { first, .. }| (v + 1).saturating_sub(first[1] + 1).min(nj - 2));
-        let (front, back) = (occupied.scanline(j_front, layer), occupied.scanline(j_back, layer));
+        let scanlines = [(j_front, ends[0]), (j_back, ends[1])];
         let next = if factorization.reversed { layer.checked_sub(2) } else { Some(layer + 2).filter(|&l| l + 1 < nk) };
         if let Some(next) = next {
-            prefetch(occupied.scanline(j_back, next));
+            prefetch_at(occupied.scanline_and_more(j_back, next), 0);
         }
-        let empty = |cells: &[u64]| cells.iter().all(|&word| word == 0);
-        if empty(front) && empty(back) {
-            return false;
-        }
-        pixels.clear();
-        pixels.add_cells(front, ni - 1, ends[0].first[0]);
-        pixels.add_cells(back, ni - 1, ends[1].first[0]);
-        true
+        let scanlines = scanlines.map(|(j, end)| (occupied.scanline_and_more(j, layer), end.first[0]));
+        pixels.set_cells_within::<W>(scanlines, occupied.within(), ni - 1, open, inside)
     }
 
     #[inline(always)]
@@ -179,12 +177,13 @@ impl Lattice for Scaled {
     /// The cells of a ray are those from the voxels that it is sampled from on one slice to those on the
     /// other, along either axis.
     #[inline(always)]
-    fn mark(
+    fn mark<W: Shorts>(
         factorization: &Factorization,
         occupied: &Occupied<'_>,
         layer: usize,
         ends: [&[Footprint; 2]; 2],
         v: usize,
+        (open, inside): (&[u64], &Mask),
         pixels: &mut Mask,
     ) -> bool {
         let [ni, nj, _] = factorization.dims;
@@ -213,7 +212,7 @@ impl Lattice for Scaled {
                 pixels.add(front.start.min(back.start)..front.end.max(back.end));
             }
         }
-        any
+        any && pixels.keep_within(open, inside)
     }
 
     #[inline(always)]

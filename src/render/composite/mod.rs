@@ -19,6 +19,7 @@
 
 mod clipped;
 pub mod cue;
+pub mod float_slabs;
 pub mod footprint;
 pub mod lattice;
 mod mask;
@@ -28,6 +29,7 @@ mod rows;
 pub mod samples;
 mod scaled;
 mod scaled_voxels;
+pub mod short_slabs;
 pub mod slabs;
 pub mod sources;
 mod touched;

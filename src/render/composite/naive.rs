@@ -6,10 +6,12 @@
 use glam::Vec4;
 use rayon::prelude::*;
 
+use super::float_slabs::FloatSlabs;
 use super::footprint::Footprint;
 use super::lattice::{Lattice, Scaled, Unit};
 use super::samples::{Position, Quads, lerp};
-use super::slabs::SlabComposite;
+use super::short_slabs::ShortSlabs;
+use super::slabs::{SlabComposite, SlabSource};
 use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, cut};
 use crate::classify::preintegration::Slabs;
@@ -17,8 +19,10 @@ use crate::render::factorization::{Factorization, Holes, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
 use crate::render::material::{Shader, SliceShader};
 use crate::render::pixel::Pixel;
+use crate::render::simd::shorts::Short;
 use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{Cancel, RenderError};
+use crate::volume::gradient::Code;
 
 /// A composite told pixel by pixel.
 pub trait Pixels: Sync {
@@ -137,30 +141,51 @@ pub trait NaiveVoxels<P>: Lattice {
     ) -> Option<P>;
 }
 
-impl<L: NaiveLattice, S: Slabs, C: Correction> Pixels for SlabComposite<'_, L, S, C> {
-    type Pixel = Vec4;
+/// What slabs are told by, for one pixel.
+pub trait NaiveSlabs<L: Lattice>: SlabSource<L> {
+    /// The sample at pixel (u, v), slices being continued by their borders.
+    fn sample_at(
+        &self,
+        factorization: &Factorization,
+        position: &Position<L::Placement>,
+        pixel: [usize; 2],
+    ) -> Self::Sample;
+}
 
-    fn pixel(&self, u: usize, v: usize) -> Vec4 {
+impl<L: NaiveLattice, S: Slabs, C: Correction> NaiveSlabs<L> for FloatSlabs<'_, S, C> {
+    fn sample_at(&self, factorization: &Factorization, position: &Position<L::Placement>, pixel: [usize; 2]) -> Vec4 {
+        let sample = L::pixel(self.voxels, factorization.dims, position, pixel);
+        sample.with_x(self.table.coordinate(sample.x))
+    }
+}
+
+impl<T: Code> NaiveSlabs<Unit> for ShortSlabs<'_, T> {
+    fn sample_at(&self, _: &Factorization, position: &Position<SlicePlacement>, pixel: [usize; 2]) -> Short {
+        self.sample_at(position, pixel)
+    }
+}
+
+impl<L: Lattice, Q: NaiveSlabs<L>> Pixels for SlabComposite<'_, L, Q> {
+    type Pixel = Q::Pixel;
+
+    fn pixel(&self, u: usize, v: usize) -> Q::Pixel {
         let f = self.factorization;
-        let mut pixel = Vec4::ZERO;
-        for n in self.slabs() {
-            let slab = self.place(n);
+        let limit = Q::Pixel::limit(self.opaque);
+        let mut pixel = Q::Pixel::CLEAR;
+        for slab in &self.slabs {
             let Some(whole) = clipped(f, [u, v], slab.ends) else { continue };
             if !(slab.pixels.contains(&u) && slab.scanlines.contains(&v)) {
                 continue;
             }
-            let [front, back] = [&slab.front, &slab.back].map(|position| {
-                let sample = L::pixel(self.voxels, f.dims, position, [u, v]);
-                sample.with_x(self.table.coordinate(sample.x))
-            });
+            let [front, back] = [&slab.front, &slab.back].map(|position| self.source.sample_at(f, position, [u, v]));
             let length = if L::LENGTHS { f.relative_length(u, v) * slab.share } else { 1.0 };
             let left = (!whole).then(|| f.left(u, v, slab.ends));
-            let mut sample = self.cut_sample(front, back, length, left);
+            let mut sample = self.source.slab(front, back, length, left);
             if let Some(cue) = slab.cue {
-                sample = (sample * cue.scanline(v).at(u)).with_w(sample.w);
+                sample = sample.faded(cue.scanline(v).at(u));
             }
             pixel = pixel.over(sample);
-            if pixel.w >= self.opaque {
+            if pixel.is_opaque(limit) {
                 break;
             }
         }

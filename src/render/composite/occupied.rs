@@ -4,14 +4,23 @@
 //! A leaf's answer serves all scanlines that pass through it, so the flags of a row of leaves become
 //! words once and adjacent scanlines share them (Lacroute and Levoy 1994, section 3.3).
 
-use crate::classify::marks::{AxisMarks, WORD, words};
+use super::mask::first_bits;
+use crate::classify::marks::{AxisMarks, MORE, WORD, words};
 use crate::classify::{Classification, Encodings};
 use crate::render::factorization::Factorization;
 use crate::volume::octree::{LEAF, leaf_of, leaves_along};
 
 /// A bit for every cell of a scanline: clear only where nothing shows.
 #[derive(Clone, Debug)]
-pub enum Occupied<'a> {
+pub struct Occupied<'a> {
+    marks: Marks<'a>,
+    /// As many bits as a scanline has cells.
+    within: Vec<u64>,
+}
+
+/// Where the bits come from.
+#[derive(Clone, Debug)]
+enum Marks<'a> {
     Cells(AxisMarks<'a>),
     Leaves(LeafRows),
 }
@@ -23,19 +32,35 @@ impl<'a> Occupied<'a> {
         encodings: Option<&'a Encodings>,
         factorization: &Factorization,
     ) -> Self {
-        match encodings.and_then(Encodings::cells) {
-            Some(cells) => Self::Cells(cells.for_axis(factorization.principal_axis)),
-            None => Self::Leaves(LeafRows::new(classification.occupied(), factorization)),
-        }
+        let marks = match encodings.and_then(Encodings::cells) {
+            Some(cells) => Marks::Cells(cells.for_axis(factorization.principal_axis)),
+            None => Marks::Leaves(LeafRows::new(classification.occupied(), factorization)),
+        };
+        Self { marks, within: first_bits(factorization.dims[0] - 1) }
     }
 
     /// The cells from voxel scanline `j` to `j + 1` and from slice `k` to `k + 1`, i ascending.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> &[u64] {
-        match self {
-            Self::Cells(cells) => cells.scanline(j, k),
-            Self::Leaves(leaves) => leaves.scanline(j, k),
+        match &self.marks {
+            Marks::Cells(cells) => cells.scanline(j, k),
+            Marks::Leaves(leaves) => leaves.scanline(j, k),
         }
+    }
+
+    /// The same and what follows, at least three words.
+    #[inline(always)]
+    pub fn scanline_and_more(&self, j: usize, k: usize) -> &[u64] {
+        match &self.marks {
+            Marks::Cells(cells) => cells.scanline_and_more(j, k),
+            Marks::Leaves(leaves) => leaves.scanline_and_more(j, k),
+        }
+    }
+
+    /// As many bits as a scanline has cells, in whole chunks of a mask's words.
+    #[inline(always)]
+    pub fn within(&self) -> &[u64] {
+        &self.within
     }
 }
 
@@ -57,8 +82,8 @@ impl LeafRows {
         let strides = factorization.strides(factorization.dims.map(leaves_along));
         let (rows, words) = (leaves_along(nj), words(ni));
         let count = rows * leaves_along(nk) * words;
-        let mut bits = vec![0; count];
-        for (row, bits) in bits.chunks_exact_mut(words).enumerate() {
+        let mut bits = vec![0; count + MORE];
+        for (row, bits) in bits[..count].chunks_exact_mut(words).enumerate() {
             let first = row % rows * strides[1] + row / rows * strides[2];
             let last = leaves_along(ni) - 1;
             for leaf in (0..=last).filter(|leaf| occupied[first + leaf * strides[0]]) {
@@ -75,7 +100,13 @@ impl LeafRows {
     /// The voxels (or cells) of scanline `j` of slice `k`. Bits past the scanline's end may be set.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> &[u64] {
+        &self.scanline_and_more(j, k)[..self.words]
+    }
+
+    /// The same and what follows, at least [`MORE`] words.
+    #[inline(always)]
+    fn scanline_and_more(&self, j: usize, k: usize) -> &[u64] {
         let row = leaf_of(k, self.dims[1]) * self.rows + leaf_of(j, self.dims[0]);
-        &self.bits[row * self.words..][..self.words]
+        &self.bits[row * self.words..]
     }
 }

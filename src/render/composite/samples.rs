@@ -307,30 +307,59 @@ impl Row {
     }
 }
 
+/// A voxel scanline in whatever form.
+pub trait RowBuffer {
+    /// For scanlines of `length` voxels.
+    fn new(length: usize) -> Self;
+
+    /// The scanline's j, where one was entered.
+    fn scanline(&mut self) -> &mut Option<usize>;
+
+    /// Of the scanline entered nothing is there.
+    fn forget(&mut self);
+}
+
+impl RowBuffer for Row {
+    fn new(length: usize) -> Self {
+        Self::new(length)
+    }
+
+    #[inline(always)]
+    fn scanline(&mut self) -> &mut Option<usize> {
+        &mut self.j
+    }
+
+    #[inline(always)]
+    fn forget(&mut self) {
+        self.fetched.fill(false);
+    }
+}
+
 /// The two scanlines of a slice of voxels that a scanline of pixels gathers from.
 #[derive(Debug)]
-struct RowPair {
-    rows: [Row; 2],
+pub struct RowPair<R> {
+    pub rows: [R; 2],
     k: usize,
 }
 
-impl RowPair {
-    fn new(length: usize) -> Self {
-        Self { rows: [Row::new(length), Row::new(length)], k: usize::MAX }
+impl<R: RowBuffer> RowPair<R> {
+    /// For scanlines of `length` voxels.
+    pub fn new(length: usize) -> Self {
+        Self { rows: [R::new(length), R::new(length)], k: usize::MAX }
     }
 
     /// Makes the rows those of scanlines `upper` and `lower` of slice `k`; gives where they are.
     #[inline(always)]
-    fn enter(&mut self, upper: usize, lower: usize, k: usize) -> [usize; 2] {
+    pub fn enter(&mut self, upper: usize, lower: usize, k: usize) -> [usize; 2] {
         if self.k != k {
             self.k = k;
-            self.rows[0].j = None;
-            self.rows[1].j = None;
+            for row in &mut self.rows {
+                *row.scanline() = None;
+            }
         }
-        let place = |rows: &[Row; 2], j: usize| (0..2).find(|&at| rows[at].j == Some(j));
-        let at_upper = place(&self.rows, upper);
-        let at_lower = place(&self.rows, lower);
-        match (at_upper, at_lower) {
+        let there = [0, 1].map(|at| *self.rows[at].scanline());
+        let place = |j: usize| (0..2).find(|&at| there[at] == Some(j));
+        match (place(upper), place(lower)) {
             (Some(a), Some(b)) => [a, b],
             (Some(a), None) => [a, self.replace(1 - a, lower)],
             (None, Some(b)) => [self.replace(1 - b, upper), b],
@@ -343,7 +372,8 @@ impl RowPair {
 
     #[inline(always)]
     fn replace(&mut self, at: usize, j: usize) -> usize {
-        self.rows[at].enter(j);
+        *self.rows[at].scanline() = Some(j);
+        self.rows[at].forget();
         at
     }
 }
@@ -351,8 +381,8 @@ impl RowPair {
 /// Row buffers for slices of samples.
 #[derive(Debug)]
 pub struct SampleRows {
-    near: RowPair,
-    far: RowPair,
+    near: RowPair<Row>,
+    far: RowPair<Row>,
 }
 
 impl SampleRows {

@@ -1,12 +1,15 @@
 //! The kernel of slabs: what lies between two slices, looked up by the scalars on both (Schulze et
 //! al. 2003).
 //!
+//! The walk is here; how samples are made and what slabs are looked up in is its [`SlabSource`]: floats (`float_slabs.rs`) or, where these will do,
+//! 16-bit fractions (`short_slabs.rs`).
+//!
 //! For a scanline of pixels and a slab:
 //!
 //! 1. *Which pixels?* Those that pass a cell in which something may show and are not opaque
 //!    (`mask.rs`).
 //! 2. *Sample* the back slice at those pixels and at those of the next slab, which are found one slab ahead; the front slice's samples
-//!    are the last slab's back ones and wait in a buffer slice (`samples.rs`). So a slice is read once.
+//!    are the last slab's back ones and wait in a buffer slice. So a slice is read once.
 //! 3. *Look up and blend*: the slab by its two scalars, lit by the mean light of both samples,
 //!    its length and density corrected, "over".
 //!
@@ -20,38 +23,90 @@
 //! places (SB), or one the size of the intermediate image, in which a pixel's back sample takes the
 //! place of its front sample (IB). Of either a band has its own scanlines only.
 
+use std::fmt::Debug;
 use std::ops::Range;
 
-use glam::Vec4;
-
 use super::clipped::ClippedPixels;
-use super::cue::{Cue, ScanlineCue, SliceCue};
+use super::cue::{Cue, SliceCue};
 use super::lattice::Lattice;
 use super::mask::{Mask, Runs};
 use super::occupied::Occupied;
-use super::samples::{Position, Quads};
-use super::{CANCEL_STEP, Composite, clear_bits};
-use crate::classify::preintegration::Slabs;
+use super::samples::Position;
+use super::{CANCEL_STEP, Composite, WORD};
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::pixel::Pixel;
 use crate::render::simd::shorts::Shorts;
-use crate::render::slab::{Correction, opacity_ratio};
 use crate::render::{BufferSlice, Cancel, RenderError};
+
+/// So many samples before a scanline's first and behind its last may be made and looked up with them, where nothing is drawn.
+const BESIDE: usize = WORD;
+
+/// What slabs are told by.
+pub trait SlabSource<L: Lattice>: Send + Sync {
+    /// What bands are composited in.
+    type Pixel: Pixel;
+    /// What slices are sampled into.
+    type Sample: Copy + Debug + Default + Send;
+    /// Row buffers for the voxels of a slice.
+    type Rows: Debug + Send;
+
+    /// Row buffers for `factorization`.
+    fn rows(&self, factorization: &Factorization) -> Self::Rows;
+
+    /// Samples the pixels of `mask` on a scanline: `at` has pixels that they are some of, and the scanline's
+    /// v. Pixel u goes to `out.0[u - out.1]`. What is there for pixels beside them stays if they are `SOME` of those that have samples.
+    /// Implementations are `#[inline(always)]`, as are those of `blend`.
+    fn sample<W: Shorts, const SOME: bool>(
+        &self,
+        rows: &mut Self::Rows,
+        position: &Position<L::Placement>,
+        at: (&Range<usize>, usize),
+        mask: &Mask,
+        out: (&mut [Self::Sample], isize),
+    );
+
+    /// Looks up the slabs of `pixels`, and blends them behind what is there. Pixels that become opaque are no longer open.
+    fn blend<W: Shorts>(
+        &self,
+        scanline: &mut ScanlineMut<'_, Self::Pixel>,
+        at: &SlabScanline<'_, L::Placement>,
+        pixels: &Mask,
+        samples: &BufferRow<'_, Self::Sample>,
+    );
+
+    /// What a slab of `length` times the view's shows between two samples, of which these pieces are left (`None`: all).
+    fn slab(
+        &self,
+        front: Self::Sample,
+        back: Self::Sample,
+        length: f32,
+        left: Option<impl Iterator<Item = [f32; 2]>>,
+    ) -> Self::Pixel;
+}
+
+/// A scanline of a slab.
+pub struct SlabScanline<'a, P> {
+    pub factorization: &'a Factorization,
+    pub slab: &'a Slab<'a, P>,
+    pub v: usize,
+    /// Where the view clips.
+    pub clipped: &'a ClippedPixels,
+    /// Lengths of the pixels' rays, in units of the view's; none where they have all the same.
+    pub lengths: &'a [f32],
+    /// Accumulated opacity at which a pixel is done.
+    pub opaque: f32,
+}
 
 /// What the bands of a frame share.
 #[derive(Debug)]
-pub struct SlabComposite<'a, L, S, C> {
+pub struct SlabComposite<'a, L: Lattice, Q> {
     pub lattice: L,
+    pub source: Q,
     pub factorization: &'a Factorization,
-    pub voxels: &'a dyn Quads,
     pub occupied: Occupied<'a>,
-    pub table: S,
-    pub correction: C,
-    /// `None`: nothing fades.
-    pub cue: Option<&'a Cue>,
-    /// Slabs from a slice of voxels to the next.
-    pub steps: usize,
+    /// Front to back.
+    pub slabs: Vec<Slab<'a, L::Placement>>,
     pub buffer: BufferSlice,
     /// Accumulated opacity at which a pixel is done.
     pub opaque: f32,
@@ -60,7 +115,7 @@ pub struct SlabComposite<'a, L, S, C> {
 
 /// Row buffers, masks and buffer slices of a thread.
 #[derive(Debug)]
-pub struct Scratch<R> {
+pub struct Scratch<R, S> {
     front: R,
     back: R,
     /// Lengths of the pixels' rays, in units of the view's; none where they have all the same.
@@ -73,7 +128,7 @@ pub struct Scratch<R> {
     clipped: ClippedPixels,
     fresh: Mask,
     kept: Vec<Kept>,
-    buffer: Buffer,
+    buffer: Buffer<S>,
 }
 
 /// What a slab left of a scanline for the one behind it.
@@ -90,7 +145,8 @@ struct Kept {
 }
 
 /// Where a slab lies.
-pub(super) struct Slab<'a, P> {
+#[derive(Debug)]
+pub struct Slab<'a, P> {
     number: usize,
     /// Slice of voxels below it, in the volume's order: the layer of cells that it is in.
     layer: usize,
@@ -107,15 +163,15 @@ pub(super) struct Slab<'a, P> {
     pub(super) cue: Option<SliceCue<'a>>,
 }
 
-impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, C> {
-    type Pixel = Vec4;
-    type Scratch = Scratch<L::Rows>;
+impl<L: Lattice, Q: SlabSource<L>> Composite for SlabComposite<'_, L, Q> {
+    type Pixel = Q::Pixel;
+    type Scratch = Scratch<Q::Rows, Q::Sample>;
 
     fn scratch(&self, height: usize) -> Self::Scratch {
         let [width, _] = self.factorization.size;
         Scratch {
-            front: L::rows(self.factorization),
-            back: L::rows(self.factorization),
+            front: self.source.rows(self.factorization),
+            back: self.source.rows(self.factorization),
             lengths: vec![],
             inside: Mask::new(width),
             pixels: Mask::new(width),
@@ -137,7 +193,7 @@ impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, 
     }
 
     #[inline(always)]
-    fn band<W: Shorts>(&self, band: &mut Band<'_, Vec4>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
+    fn band<W: Shorts>(&self, band: &mut Band<'_, Q::Pixel>, scratch: &mut Self::Scratch) -> Result<(), RenderError> {
         for kept in &mut scratch.kept {
             (kept.is_sampled, kept.found) = (false, None);
         }
@@ -145,59 +201,56 @@ impl<L: Lattice, S: Slabs, C: Correction> Composite for SlabComposite<'_, L, S, 
         if L::LENGTHS {
             self.factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
         }
-        let slabs = self.slabs();
-        let mut placed = slabs.clone().next().map(|number| self.place(number));
-        while let Some(slab) = placed {
-            let number = slab.number;
-            if number % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
+        for (at, slab) in self.slabs.iter().enumerate() {
+            if at % CANCEL_STEP == 0 && self.cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
-            placed = Some(number + 1).filter(|next| slabs.contains(next)).map(|next| self.place(next));
-            self.slab(band, &slab, placed.as_ref(), scratch);
+            self.slab::<W>(band, slab, self.slabs.get(at + 1), scratch);
             scratch.buffer.next_slab();
         }
         Ok(())
     }
 }
 
-impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
-    /// The slabs along a ray, front to back.
-    pub(super) fn slabs(&self) -> Range<usize> {
-        let f = self.factorization;
-        (f.start * self.steps as f64) as usize..f.layers() * self.steps
+impl<'a, P> Slab<'a, P> {
+    /// The slabs along a ray, front to back, so many `steps` of them from a slice of voxels to the next.
+    pub fn all<L: Lattice<Placement = P>>(f: &Factorization, steps: usize, cue: Option<&'a Cue>) -> Vec<Self> {
+        let slabs = (f.start * steps as f64) as usize..f.layers() * steps;
+        slabs.map(|number| Self::new::<L>(f, number, steps, cue)).collect()
     }
 
-    pub(super) fn place(&self, number: usize) -> Slab<'_, L::Placement> {
-        let f = self.factorization;
-        let [from, to] = [number, number + 1].map(|n| (n as f64 / self.steps as f64).max(f.start));
+    fn new<L: Lattice<Placement = P>>(f: &Factorization, number: usize, steps: usize, cue: Option<&'a Cue>) -> Self {
+        let [from, to] = [number, number + 1].map(|n| (n as f64 / steps as f64).max(f.start));
         let middle = f.along((from + to) / 2.0);
         let ends = [from, to].map(|at| f.along(at));
         let [pixels, scanlines] = L::inside(f, &L::placement(f, middle));
-        let layer = number / self.steps;
-        Slab {
+        let layer = number / steps;
+        Self {
             number,
             layer: if f.reversed { f.front - 1 - layer } else { f.front + layer },
             front: Position::new::<L>(f, from),
             back: Position::new::<L>(f, to),
             ends,
-            share: ((to - from) * self.steps as f64) as f32,
+            share: ((to - from) * steps as f64) as f32,
             pixels,
             scanlines,
-            cue: self.cue.map(|cue| cue.slice(middle)),
+            cue: cue.map(|cue| cue.slice(middle)),
         }
     }
+}
 
+impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
     /// One slab into one band.
     ///
     /// Its back is sampled at the pixels of the `next` slab too. (Where shapes clip that, or rays have not begun, its pixels are found when it
     /// is its turn, and those that are new are sampled at its front; so are those of the first slab.)
     #[inline(always)]
-    fn slab(
+    fn slab<W: Shorts>(
         &self,
-        band: &mut Band<'_, Vec4>,
+        band: &mut Band<'_, Q::Pixel>,
         slab: &Slab<'_, L::Placement>,
         next: Option<&Slab<'_, L::Placement>>,
-        scratch: &mut Scratch<L::Rows>,
+        scratch: &mut Scratch<Q::Rows, Q::Sample>,
     ) {
         let f = self.factorization;
         let rows = band.first..band.first + band.height();
@@ -222,7 +275,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
         }
         for v in all {
             let row = v - band.first;
-            let mut scanline = band.scanline(row);
+            let mut scanline = band.scanline_and_more(row);
             let Scratch { front, back, lengths, inside, pixels, inside_ahead, clipped, fresh, kept, buffer } =
                 &mut *scratch;
             let Kept { slab: left_by, is_sampled, sampled, found, ahead } = &mut kept[row];
@@ -230,7 +283,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
             let any = vs.contains(&v) && {
                 clipped.enter_scanline(f, v, slab.ends);
                 let any = match found.filter(|_| known) {
-                    None => self.mark(slab, v, &scanline, inside, pixels),
+                    None => self.mark::<W>(slab, v, &scanline, inside, pixels),
                     Some(any) => {
                         pixels.copy_from(ahead);
                         any && pixels.keep_within(scanline.non_opaque, inside)
@@ -242,7 +295,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
                         && pixels.keep(clipped.open(), &(0..usize::MAX)))
             };
             let next = next.as_ref().filter(|(_, vs)| vs.contains(&v) && have_begun(v));
-            *found = next.map(|(next, _)| self.mark(next, v, &scanline, inside_ahead, ahead));
+            *found = next.map(|(next, _)| self.mark::<W>(next, v, &scanline, inside_ahead, ahead));
             let any_ahead = *found == Some(true);
             let was_sampled = std::mem::replace(is_sampled, any || any_ahead) && known;
             if !*is_sampled {
@@ -258,7 +311,7 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
                 };
                 if missing {
                     let out = (&mut *samples.front, samples.front_base);
-                    L::sample(front, self.voxels, self.table, &slab.front, (&slab.pixels, v), fresh, out);
+                    self.source.sample::<W, true>(front, &slab.front, (&slab.pixels, v), fresh, out);
                 }
             }
             match (any, any_ahead) {
@@ -267,10 +320,11 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
                 (false, _) => sampled.copy_from(ahead),
             }
             let out = (&mut *samples.back, samples.back_base);
-            L::sample(back, self.voxels, self.table, &slab.back, (&us, v), sampled, out);
+            self.source.sample::<W, false>(back, &slab.back, (&us, v), sampled, out);
             if any {
                 let lengths = if L::LENGTHS { &lengths[row * f.size[0]..] } else { &[] };
-                self.blend(&mut scanline, (v, clipped), slab, pixels, &samples, lengths);
+                let at = SlabScanline { factorization: f, slab, v, clipped, lengths, opaque: self.opaque };
+                self.source.blend::<W>(&mut scanline, &at, pixels, &samples);
             }
             samples.keep(sampled);
         }
@@ -278,171 +332,64 @@ impl<L: Lattice, S: Slabs, C: Correction> SlabComposite<'_, L, S, C> {
 
     /// Finds the pixels of scanline `v` to work on, as if nothing were clipped; false where there is none.
     #[inline(always)]
-    fn mark(
+    fn mark<W: Shorts>(
         &self,
         slab: &Slab<'_, L::Placement>,
         v: usize,
-        scanline: &ScanlineMut<'_, Vec4>,
+        scanline: &ScanlineMut<'_, Q::Pixel>,
         inside: &Mask,
         pixels: &mut Mask,
     ) -> bool {
         let ends = [&slab.front.placement, &slab.back.placement];
-        L::mark(self.factorization, &self.occupied, slab.layer, ends, v, pixels)
-            && pixels.keep_within(scanline.non_opaque, inside)
+        L::mark::<W>(self.factorization, &self.occupied, slab.layer, ends, v, (scanline.non_opaque, inside), pixels)
     }
-
-    /// Looks slabs up and blends them behind what is there.
-    #[inline(always)]
-    fn blend(
-        &self,
-        scanline: &mut ScanlineMut<'_, Vec4>,
-        (v, clipped): (usize, &ClippedPixels),
-        slab: &Slab<'_, L::Placement>,
-        pixels: &Mask,
-        samples: &BufferRow<'_>,
-        lengths: &[f32],
-    ) {
-        let lit = self.voxels.is_lit();
-        let cue = slab.cue.map(|cue| cue.scanline(v));
-        for (u, length) in Runs::new(pixels) {
-            let run = Run {
-                u,
-                cue,
-                pixels: &mut scanline.pixels[u..][..length],
-                front: &samples.front[(u as isize - samples.front_base) as usize..][..length],
-                back: &samples.back[(u as isize - samples.back_base) as usize..][..length],
-                lengths: if L::LENGTHS { &lengths[u..][..length] } else { &[] },
-                share: slab.share,
-            };
-            let opaque = match (lit, cue.is_some()) {
-                _ if clipped.is_any() && clipped.cuts(u, length) => self.blend_cut(run, v, slab, clipped),
-                (false, false) => self.blend_run::<false, false>(run),
-                (false, true) => self.blend_run::<false, true>(run),
-                (true, false) => self.blend_run::<true, false>(run),
-                (true, true) => self.blend_run::<true, true>(run),
-            };
-            if opaque != 0 {
-                clear_bits(scanline.non_opaque, u, opaque);
-            }
-        }
-    }
-
-    /// Blends consecutive pixels; gives the mask of those that became opaque.
-    #[inline(always)]
-    fn blend_run<const LIT: bool, const CUED: bool>(&self, run: Run<'_>) -> u64 {
-        let mut opaque = 0;
-        let samples = run.front.iter().zip(run.back);
-        for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
-            let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
-            let mut sample = self.sample::<LIT>(*front, *back, length);
-            if CUED && let Some(cue) = run.cue {
-                sample = (sample * cue.at(run.u + at)).with_w(sample.w);
-            }
-            *pixel = pixel.over(sample);
-            opaque |= u64::from(pixel.w >= self.opaque) << at;
-        }
-        opaque
-    }
-
-    /// Blends consecutive pixels, some of which clipping cuts.
-    #[inline(never)]
-    fn blend_cut(&self, run: Run<'_>, v: usize, slab: &Slab<'_, L::Placement>, clipped: &ClippedPixels) -> u64 {
-        let mut opaque = 0;
-        let samples = run.front.iter().zip(run.back);
-        for (at, (pixel, (front, back))) in run.pixels.iter_mut().zip(samples).enumerate() {
-            let u = run.u + at;
-            let length = if L::LENGTHS { run.lengths[at] * run.share } else { 1.0 };
-            let left = clipped.is_cut(u).then(|| self.factorization.left(u, v, slab.ends));
-            let mut sample = self.cut_sample(*front, *back, length, left);
-            if let Some(cue) = run.cue {
-                sample = (sample * cue.at(u)).with_w(sample.w);
-            }
-            *pixel = pixel.over(sample);
-            opaque |= u64::from(pixel.w >= self.opaque) << at;
-        }
-        opaque
-    }
-
-    /// The sample of a slab of which these pieces are left (`None`: all).
-    pub(super) fn cut_sample(
-        &self,
-        front: Vec4,
-        back: Vec4,
-        length: f32,
-        left: Option<impl Iterator<Item = [f32; 2]>>,
-    ) -> Vec4 {
-        let sample = |front, back| match self.voxels.is_lit() {
-            true => self.sample::<true>(front, back, length),
-            false => self.sample::<false>(front, back, length),
-        };
-        let Some(left) = left else { return sample(front, back) };
-        left.fold(Vec4::ZERO, |before, [enter, leave]| {
-            let slab = sample(front.lerp(back, enter), front.lerp(back, leave));
-            before.over(slab * opacity_ratio(slab.w, leave - enter))
-        })
-    }
-
-    /// Premultiplied colour and opacity between two samples, of a slab of so many times the view's length.
-    #[inline(always)]
-    pub(super) fn sample<const LIT: bool>(&self, front: Vec4, back: Vec4, length: f32) -> Vec4 {
-        let mean = (front + back) * 0.5;
-        let slab = self.correction.correct(self.table.slab(front.x, back.x), mean.w, length);
-        if LIT { (slab * mean.y + Vec4::splat(mean.z * slab.w)).min(Vec4::splat(slab.w)).with_w(slab.w) } else { slab }
-    }
-}
-
-/// Consecutive pixels and their samples.
-struct Run<'a> {
-    u: usize,
-    cue: Option<ScanlineCue<'a>>,
-    pixels: &'a mut [Vec4],
-    front: &'a [Vec4],
-    back: &'a [Vec4],
-    lengths: &'a [f32],
-    share: f32,
 }
 
 /// The buffer slice, or rather a band's part of it.
 #[derive(Debug)]
-struct Buffer {
+struct Buffer<S> {
     kind: BufferSlice,
     /// SB: two slices. IB: the scanlines of the image, and one of back samples.
-    slices: [Vec<Vec4>; 2],
-    /// Samples in a scanline.
+    slices: [Vec<S>; 2],
+    /// Samples in a scanline, with [`BESIDE`] before and behind.
     length: usize,
     /// SB: which of the slices is in front.
     front: usize,
 }
 
 /// A scanline of front samples and one of back samples: pixel u is at `u - base`.
-struct BufferRow<'a> {
-    front: &'a mut [Vec4],
+#[derive(Debug)]
+pub struct BufferRow<'a, S> {
+    front: &'a mut [S],
     front_base: isize,
-    back: &'a mut [Vec4],
+    back: &'a mut [S],
     back_base: isize,
     in_place: bool,
 }
 
-impl Buffer {
+impl<S: Copy + Default> Buffer<S> {
     fn new(kind: BufferSlice, slice: usize, width: usize, height: usize) -> Self {
         let (length, rows) = match kind {
             BufferSlice::Slice => (slice, [height, height]),
             BufferSlice::Image => (width, [height, 1]),
         };
-        Self { kind, slices: rows.map(|rows| vec![Vec4::ZERO; rows * length]), length, front: 0 }
+        let length = length + 2 * BESIDE;
+        Self { kind, slices: rows.map(|rows| vec![S::default(); rows * length]), length, front: 0 }
     }
 
     /// The scanlines of a band's row.
     #[inline(always)]
-    fn row(&mut self, row: usize, [front_base, back_base]: [isize; 2]) -> BufferRow<'_> {
+    fn row(&mut self, row: usize, bases: [isize; 2]) -> BufferRow<'_, S> {
+        const BEFORE: isize = BESIDE as isize;
+        let [front_base, back_base] = bases.map(|base| base - BEFORE);
         let [first, second] = &mut self.slices;
         let at = row * self.length;
         match self.kind {
             BufferSlice::Image => BufferRow {
                 front: &mut first[at..][..self.length],
-                front_base: 0,
+                front_base: -BEFORE,
                 back: second,
-                back_base: 0,
+                back_base: -BEFORE,
                 in_place: true,
             },
             BufferSlice::Slice => {
@@ -465,13 +412,21 @@ impl Buffer {
     }
 }
 
-impl BufferRow<'_> {
+impl<S: Copy> BufferRow<'_, S> {
+    /// Front and back samples from pixel `u` on.
+    #[inline(always)]
+    pub fn from(&self, u: usize) -> [&[S]; 2] {
+        let [front, back] = [self.front_base, self.back_base].map(|base| (u as isize - base) as usize);
+        [&self.front[front..], &self.back[back..]]
+    }
+
     /// Leaves the back samples of `pixels` where the next slab looks for its front ones.
     #[inline(always)]
     fn keep(self, pixels: &Mask) {
         if self.in_place {
             for (u, length) in Runs::new(pixels) {
-                self.front[u..][..length].copy_from_slice(&self.back[u..][..length]);
+                let at = (u as isize - self.front_base) as usize;
+                self.front[at..][..length].copy_from_slice(&self.back[at..][..length]);
             }
         }
     }

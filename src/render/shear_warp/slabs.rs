@@ -1,16 +1,20 @@
 //! The pass of slabs: which table the options ask for, and the kernel's type parameters.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::{Begun, LightTable, Pass};
-use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
-use crate::render::composite::lattice::{self, Unit};
-use crate::render::composite::naive::NaiveLattice;
+use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, ShortSlabTable, SlabTables, Slabs};
+use crate::render::composite::float_slabs::FloatSlabs;
+use crate::render::composite::lattice::{self, Lattice, Unit};
+use crate::render::composite::naive::{NaiveLattice, NaiveSlabs};
 use crate::render::composite::occupied::Occupied;
 use crate::render::composite::samples::{Quads, VoxelLight, VoxelRows};
-use crate::render::composite::slabs::SlabComposite;
+use crate::render::composite::short_slabs::ShortSlabs;
+use crate::render::composite::slabs::{Slab, SlabComposite};
 use crate::render::composite::sources::Stored;
 use crate::render::intermediate::IntermediateImage;
+use crate::render::material::ShortLights;
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
 use crate::render::{Lookup, OpacityCorrection, RenderError, SlabTable};
 use crate::volume::gradient::Code;
@@ -42,6 +46,11 @@ impl Pass<'_> {
                 Ok(Begun { preintegration_table, ..begun })
             }
             SlabTable::TwoDimensional => {
+                if let Some((table, lights)) = self.short_table(tables, slab_length, length) {
+                    let preintegration_table = making.elapsed();
+                    let begun = self.with_shorts(&table, lights.as_ref(), image)?;
+                    return Ok(Begun { preintegration_table, ..begun });
+                }
                 let table = tables.table(form, slab_length);
                 let preintegration_table = making.elapsed();
                 let begun = match options.lookup {
@@ -49,6 +58,49 @@ impl Pass<'_> {
                     Lookup::Bilinear => self.with_table(Bilinear(&table), scaled, length, image),
                 }?;
                 Ok(Begun { preintegration_table, ..begun })
+            }
+        }
+    }
+
+    /// A table of 16-bit fractions for slabs of `slab_length` mm, which are `length` times as long in the view, and their lights, where these will do.
+    fn short_table(
+        &self,
+        tables: &SlabTables,
+        slab_length: f32,
+        length: f64,
+    ) -> Option<(Arc<ShortSlabTable>, Option<ShortLights>)> {
+        let options = &self.settings.preintegration;
+        let as_it_is = self.factorization.is_parallel()
+            && length == 1.0
+            && options.samples_per_voxel == 1
+            && options.lookup == Lookup::Bilinear;
+        let plain =
+            self.cue.is_none() && self.tables.in_shadow.is_none() && self.scene.transfer.gradient_opacity.is_empty();
+        if !(as_it_is && plain) {
+            return None;
+        }
+        let lights = match &self.tables.light {
+            LightTable::Off => None,
+            LightTable::ByNormal(shading) => Some(ShortLights::new(Some(shading))?),
+            LightTable::ByRay(_) => return None,
+        };
+        Some((tables.short_table(slab_length, self.factorization.layers())?, lights))
+    }
+
+    fn with_shorts(
+        &self,
+        table: &ShortSlabTable,
+        lights: Option<&ShortLights>,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        let Self { scene, factorization, .. } = *self;
+        let light = lights.map(|lights| (scene.prepared.normals(factorization.principal_axis), lights));
+        match scene.prepared.scanlines(factorization.principal_axis) {
+            AnyScanlines::U8(scanlines) => {
+                self.with_slabs(Unit, ShortSlabs::new(scanlines, light, factorization, table), image)
+            }
+            AnyScanlines::U16(scanlines) => {
+                self.with_slabs(Unit, ShortSlabs::new(scanlines, light, factorization, table), image)
             }
         }
     }
@@ -78,7 +130,7 @@ impl Pass<'_> {
         correction: C,
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
-        let Self { scene, factorization, settings, .. } = *self;
+        let Self { scene, factorization, .. } = *self;
         let (eight, sixteen);
         let voxels: &dyn Quads = match scene.prepared.scanlines(factorization.principal_axis) {
             AnyScanlines::U8(scanlines) => {
@@ -90,15 +142,22 @@ impl Pass<'_> {
                 &sixteen
             }
         };
+        self.with_slabs(lattice, FloatSlabs { voxels, table, correction }, image)
+    }
+
+    fn with_slabs<L: Lattice, Q: NaiveSlabs<L>>(
+        &self,
+        lattice: L,
+        source: Q,
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        let Self { scene, factorization, settings, .. } = *self;
         let composite = SlabComposite {
             lattice,
+            source,
             factorization,
-            voxels,
             occupied: Occupied::new(self.classification, scene.encodings, factorization),
-            table,
-            correction,
-            cue: self.cue,
-            steps: settings.preintegration.samples_per_voxel,
+            slabs: Slab::all::<L>(factorization, settings.preintegration.samples_per_voxel, self.cue),
             buffer: settings.preintegration.buffer,
             opaque: settings.early_ray_termination,
             cancel: self.cancel,
