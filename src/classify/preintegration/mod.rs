@@ -171,7 +171,7 @@ impl SlabTables {
 
     /// The table for slabs of `length` mm in 16-bit fractions, made if it is not there yet. `None` where these will not do: where there are more than
     /// fifteen bits of codes or more entries than 256, or where rounding may change the opacity of a ray through `count` slabs by more than
-    /// [`GREATEST_ERROR`].
+    /// 1/128.
     pub fn short_table(&self, length: f32, count: usize) -> Option<Arc<ShortSlabTable>> {
         let length = rounded(length);
         let axis = || ShortAxis::new(&self.axis, self.codes).map(Arc::new);

@@ -39,6 +39,19 @@ fn raised(words: [u64; CHUNK], before: u64, shift: usize) -> [u64; CHUNK] {
     raised
 }
 
+/// True where a cell of either scanline is marked.
+#[inline(always)]
+fn is_any(scanlines: [(&[u64], usize); 2], within: &[u64]) -> bool {
+    let [front, back] = scanlines.map(|(cells, _)| cells.as_chunks::<CHUNK>().0);
+    let mut any = [0; CHUNK];
+    for ((within, front), back) in within.as_chunks::<CHUNK>().0.iter().zip(front).zip(back) {
+        for n in 0..CHUNK {
+            any[n] |= (front[n] | back[n]) & within[n];
+        }
+    }
+    any[0] | any[1] | any[2] | any[3] != 0
+}
+
 impl Mask {
     /// No pixel of a scanline of `width`.
     pub fn new(width: usize) -> Self {
@@ -58,18 +71,10 @@ impl Mask {
     /// not count. False, and as it was, where no cell is marked.
     #[inline(always)]
     pub fn set_cells(&mut self, scanlines: [(&[u64], usize); 2], within: &[u64], count: usize) -> bool {
-        let within = within.as_chunks::<CHUNK>().0;
-        let mut any = [0; CHUNK];
-        for (cells, _) in scanlines {
-            for (within, cells) in within.iter().zip(cells.as_chunks::<CHUNK>().0) {
-                for n in 0..CHUNK {
-                    any[n] |= cells[n] & within[n];
-                }
-            }
-        }
-        if any[0] | any[1] | any[2] | any[3] == 0 {
+        if !is_any(scanlines, within) {
             return false;
         }
+        let within = within.as_chunks::<CHUNK>().0;
         self.clear();
         let last = count - 1;
         for (cells, first) in scanlines {
@@ -115,6 +120,9 @@ impl Mask {
         if word != other {
             // Seldom.
             return self.set_cells(scanlines, within, count) && self.keep_within(open, inside);
+        }
+        if !is_any(scanlines, within) {
+            return false;
         }
         self.clear();
         let is_open = [&open[word..], &inside.words[at..]];

@@ -184,7 +184,7 @@ fn part(fraction: f32) -> i16 {
 /// So many samples before a voxel scanline's first and behind its last belong to the words of its first and last pixels.
 const BESIDE: usize = WORD;
 
-/// A voxel scanline as samples. Voxel i is at i + [`BESIDE`]: the scanline's ends are repeated once.
+/// A voxel scanline as samples. Voxel i is at i + 64: the scanline's ends are repeated once.
 #[derive(Debug)]
 pub struct Row {
     j: Option<usize>,
