@@ -4,8 +4,8 @@ use glam::{DVec2, DVec3, Vec4};
 use shearwarp::classify::{Classification, Color, ControlPoint, Encodings, Purpose, TransferFunction};
 use shearwarp::raycast::raycast;
 use shearwarp::render::{
-    Algorithm, Background, BufferSlice, Camera, Cancel, Image, Orbit, Preintegration, Projection, Quality, Scene,
-    Settings, View, render,
+    Algorithm, Background, BufferSlice, Camera, Cancel, DepthCueing, Image, Orbit, Preintegration, Projection, Quality,
+    Scene, Settings, View, render,
 };
 use shearwarp::volume::{PreparedVolume, Volume};
 
@@ -103,6 +103,16 @@ pub fn same_bits(scene: &Prepared, view: &View, settings: &Settings) -> Image {
         assert!(frame == on, "{threads} threads change {view:?} {settings:?}");
     }
     frame
+}
+
+/// By how much a component of a premultiplied pixel differs at most, of 255, if the frame has floats: depth cueing of no density fades nothing, but asks
+/// for them.
+pub fn floats_differ_by(scene: &Prepared, view: &View, settings: &Settings) -> f64 {
+    let clear = Some(DepthCueing { front: 1.0, density: 0.0 });
+    let frames = [settings.clone(), Settings { depth_cueing: clear, ..settings.clone() }];
+    let [frame, floats] = frames.map(|settings| scene.frame(view, &settings));
+    let off = premultiplied(&frame).flatten().zip(premultiplied(&floats).flatten());
+    off.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
 /// Settings without shading over a transparent background, so that alpha can be read.

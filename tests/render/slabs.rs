@@ -8,7 +8,7 @@ use shearwarp::render::{
 };
 use shearwarp::volume::{ImportReport, Placement, ScalarType, Scalars, Volume};
 
-use crate::scenes::{ANGLES, Prepared, plain, premultiplied, same_bits, transfer};
+use crate::scenes::{ANGLES, Prepared, floats_differ_by, plain, same_bits, transfer};
 
 /// Smooth lumps with empty space between them, some of them cut by the volume's sides.
 fn lump([x, y, z]: [usize; 3]) -> f64 {
@@ -124,19 +124,13 @@ proptest! {
     }
 }
 
-/// Depth cueing of no density fades nothing, but asks for floats.
 #[test]
 fn fractions_of_16_bits_show_what_floats_show() {
     for bits in [8, 16] {
         let scene = Prepared::new(lumps([140, 37, 45], [1.0, 1.5, 0.8], bits), surface(), 0.0);
         for angles in ANGLES {
             for settings in all_settings().into_iter().take(2) {
-                let view = scene.view(&orbit(angles), 90, 80);
-                let clear = Some(DepthCueing { front: 1.0, density: 0.0 });
-                let floats = scene.frame(&view, &Settings { depth_cueing: clear, ..settings.clone() });
-                let frame = scene.frame(&view, &settings);
-                let off = premultiplied(&frame).flatten().zip(premultiplied(&floats).flatten());
-                let most = off.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                let most = floats_differ_by(&scene, &scene.view(&orbit(angles), 90, 80), &settings);
                 assert!(most <= 3.5, "{bits} bits, {angles:?}: {most} {:?}", settings.shading);
                 assert!(most > 0.0, "{bits} bits, {angles:?}: no fractions at all?");
             }

@@ -56,6 +56,8 @@ pub struct SlabTables {
     ranges: Ranges,
     tables: Kept<(Form, u32), SlabTable, KEPT>,
     short_tables: Kept<u32, ShortSlabTable, SHORT_KEPT>,
+    /// What rounding changes at worst, by length and number of slabs.
+    short_errors: Kept<(u32, usize), f32, SHORT_KEPT>,
     sums: Kept<(Form, u32), RunningSums, KEPT>,
 }
 
@@ -150,6 +152,7 @@ impl SlabTables {
             ranges,
             tables: Kept::new(),
             short_tables: Kept::new(),
+            short_errors: Kept::new(),
             sums: Kept::new(),
         }
     }
@@ -176,7 +179,8 @@ impl SlabTables {
         let length = rounded(length);
         let axis = || ShortAxis::new(&self.axis, self.codes).map(Arc::new);
         let axis = self.short_axis.get_or_init(axis).as_ref()?;
-        if shorts::error(&self.ranges, length, count) > GREATEST_ERROR {
+        let error = || shorts::error(&self.ranges, length, count);
+        if *self.short_errors.get((length.to_bits(), count), error) > GREATEST_ERROR {
             return None;
         }
         let make = || ShortSlabTable::new(&self.ranges, Arc::clone(axis), length);

@@ -221,7 +221,7 @@ struct Row<'a> {
 impl Kernel for Row<'_> {
     type Output = Vec<EightSlabs>;
 
-    /// What [`Ranges::composite`] does to one, for eight at once; those that must be cut are left to it.
+    /// What [`Ranges::composite`] does to one, for eight at once: as they are, or cut in two; those that must be cut again are left to it.
     #[inline(always)]
     fn run(self) -> Self::Output {
         let Self { ranges, from, length } = self;

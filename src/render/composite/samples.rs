@@ -271,19 +271,6 @@ pub struct Row {
 }
 
 impl Row {
-    /// For scanlines of `length` voxels.
-    pub fn new(length: usize) -> Self {
-        let quads = length.div_ceil(QUAD);
-        Self { j: None, voxels: vec![Vec4::ZERO; quads * QUAD + 2], fetched: vec![false; quads] }
-    }
-
-    /// Becomes scanline `j`, nothing of which is there yet.
-    #[inline(always)]
-    pub fn enter(&mut self, j: usize) {
-        self.j = Some(j);
-        self.fetched.fill(false);
-    }
-
     /// Reads voxels `first..=last` of scanline `j` of slice `k`, which the row is for.
     #[inline(always)]
     pub fn fetch(&mut self, voxels: &dyn Quads, j: usize, k: usize, first: usize, last: usize) {
@@ -315,13 +302,21 @@ pub trait RowBuffer {
     /// The scanline's j, where one was entered.
     fn scanline(&mut self) -> &mut Option<usize>;
 
-    /// Of the scanline entered nothing is there.
+    /// Nothing is there of the scanline.
     fn forget(&mut self);
+
+    /// Becomes scanline `j`, nothing of which is there yet.
+    #[inline(always)]
+    fn enter(&mut self, j: usize) {
+        *self.scanline() = Some(j);
+        self.forget();
+    }
 }
 
 impl RowBuffer for Row {
     fn new(length: usize) -> Self {
-        Self::new(length)
+        let quads = length.div_ceil(QUAD);
+        Self { j: None, voxels: vec![Vec4::ZERO; quads * QUAD + 2], fetched: vec![false; quads] }
     }
 
     #[inline(always)]
@@ -372,8 +367,7 @@ impl<R: RowBuffer> RowPair<R> {
 
     #[inline(always)]
     fn replace(&mut self, at: usize, j: usize) -> usize {
-        *self.rows[at].scanline() = Some(j);
-        self.rows[at].forget();
+        self.rows[at].enter(j);
         at
     }
 }

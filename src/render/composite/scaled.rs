@@ -12,7 +12,7 @@ use glam::Vec4;
 use super::WORD;
 use super::footprint::Footprint;
 use super::mask::{Mask, Runs};
-use super::samples::{Position, Quads, Row, lerp};
+use super::samples::{Position, Quads, Row, RowBuffer, lerp};
 use crate::classify::preintegration::Slabs;
 
 /// First voxels and weights of a slice's pixels along u.
