@@ -70,7 +70,7 @@ unsafe fn lit(pixels: __m256i, factors: __m256i, addends: __m256i) -> __m256i {
     }
 }
 
-/// Blends samples behind pixels: [`Shorts::over`].
+/// What the plain [`over`](super::over) does.
 ///
 /// # Safety
 /// AVX2 must be there.
