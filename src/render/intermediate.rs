@@ -203,10 +203,10 @@ impl IntermediateImage {
     }
 
     /// The image in strips of `height` scanlines (the last may be shorter).
-    pub fn strips(&mut self, height: usize) -> impl IndexedParallelIterator<Item = Strip<'_>> {
+    pub fn strips(&mut self, height: usize) -> impl Iterator<Item = Strip<'_>> {
         let ([width, all], behind) = (self.size, self.behind);
-        let pixels = self.pixels[..width * all].par_chunks_mut(width * height);
-        let drawn = self.drawn.par_chunks_mut(height);
+        let pixels = self.pixels[..width * all].chunks_mut(width * height);
+        let drawn = self.drawn.chunks_mut(height);
         pixels.zip(drawn).enumerate().map(move |(strip, (pixels, drawn))| Strip {
             first: strip * height,
             width,

@@ -5,6 +5,7 @@
 //! depend on the normal alone, and a frame computes them once for each of the normal codes.
 
 use glam::{DMat3, DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::lighting::{cosines, raise};
 use super::simd::{self, Kernel};
@@ -13,6 +14,9 @@ use crate::volume::gradient::{NO_NORMAL, NORMAL_CODES, NORMALS};
 
 /// Normals that are lit at once.
 const LANES: usize = 16;
+
+/// And before a thread looks for more.
+const FILLED_AT_ONCE: usize = 128 * LANES;
 
 const _: () = assert!(NO_NORMAL as usize == NORMAL_CODES - 1 && (NORMAL_CODES - 1).is_multiple_of(LANES));
 
@@ -43,7 +47,11 @@ impl ShadingTable {
         };
         let lights: Vec<FixedLight> = shading.lights.iter().map(light).collect();
         let mut entries = vec![[0.0; 2]; NORMAL_CODES];
-        simd::dispatch(Fill { shading, lights: &lights, normals: &NORMALS, entries: &mut entries });
+        entries.chunks_mut(FILLED_AT_ONCE).enumerate().par_bridge().for_each(|(n, entries)| {
+            let first = n * FILLED_AT_ONCE;
+            let normals = NORMALS.each_ref().map(|of_axis| &of_axis[first..first + entries.len()]);
+            simd::dispatch(Fill { shading, lights: &lights, normals, entries });
+        });
         entries[usize::from(NO_NORMAL)] = [shading.facing(transmittance) as f32, 0.0];
         Self { entries }
     }
@@ -67,7 +75,7 @@ struct FixedLight {
 struct Fill<'a> {
     shading: &'a Shading,
     lights: &'a [FixedLight],
-    normals: &'a [Vec<f32>; 3],
+    normals: [&'a [f32]; 3],
     entries: &'a mut [[f32; 2]],
 }
 

@@ -26,6 +26,7 @@ use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
 use self::lanes::{FRACTION_BITS, LANES, Lanes, Portable, Rgb, Rgba};
+use super::bands;
 use super::depth::InverseWarp;
 use super::factorization::Factorization;
 use super::intermediate::{IntermediateImage, write_pixel};
@@ -69,7 +70,7 @@ pub fn warp(
     let row_bytes = width * background.channels();
     let height = out.len() / row_bytes;
     let fill = || {
-        out.par_chunks_mut(row_bytes * BAND_HEIGHT).enumerate().try_for_each(|(band, rows)| {
+        bands::middle_first(out.chunks_mut(row_bytes * BAND_HEIGHT).enumerate()).try_for_each(|(band, rows)| {
             if cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }

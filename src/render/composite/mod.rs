@@ -38,6 +38,7 @@ pub mod voxels;
 use rayon::prelude::*;
 
 use super::RenderError;
+use super::bands;
 use super::intermediate::{Band, BandBuffer, IntermediateImage, Strip};
 use super::pixel::Pixel;
 pub(super) use super::pixel::WORD;
@@ -79,8 +80,7 @@ pub trait Composite: Sync {
     where
         Self: Sized,
     {
-        // Bands are few and differ much: each goes to whoever is free.
-        image.strips(BAND_HEIGHT).with_max_len(1).try_for_each_init(
+        bands::middle_first(image.strips(BAND_HEIGHT)).try_for_each_init(
             || (BandBuffer::default(), self.scratch(BAND_HEIGHT)),
             |(buffer, scratch), strip| simd::dispatch(Job { composite: self, strip, buffer, scratch }),
         )

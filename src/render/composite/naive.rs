@@ -15,6 +15,7 @@ use super::slabs::{SlabComposite, SlabSource};
 use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, cut};
 use crate::classify::preintegration::Slabs;
+use crate::render::bands;
 use crate::render::factorization::{Factorization, Holes, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
 use crate::render::material::{Shader, SliceShader};
@@ -38,7 +39,7 @@ pub trait Pixels: Sync {
 /// # Errors
 /// [`RenderError::Cancelled`].
 pub fn run<C: Pixels>(pixels: &C, image: &mut IntermediateImage, cancel: &Cancel) -> Result<(), RenderError> {
-    image.strips(1).try_for_each_init(BandBuffer::<C::Pixel>::default, |buffer, strip| {
+    bands::middle_first(image.strips(1)).try_for_each_init(BandBuffer::<C::Pixel>::default, |buffer, strip| {
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }

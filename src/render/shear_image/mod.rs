@@ -36,6 +36,7 @@ use std::time::Instant;
 use glam::Vec4;
 use rayon::prelude::*;
 
+use super::bands;
 use super::simd::wide::{LANES, Portable, Wide};
 use super::simd::{self, Kernel};
 use super::{Cancel, RenderError, Scene, Settings, Timings, View};
@@ -112,8 +113,7 @@ impl Frame<'_> {
         let begun = self.start.elapsed();
         let (width, height) = self.rays.size;
         let mut out = vec![Vec4::ZERO; width * height];
-        out.par_chunks_mut(width * BAND_HEIGHT)
-            .enumerate()
+        bands::middle_first(out.chunks_mut(width * BAND_HEIGHT).enumerate())
             .try_for_each(|(band, out)| simd::dispatch(Band { pixels, frame: self, first: band * BAND_HEIGHT, out }))?;
         let render = self.start.elapsed();
         Ok((out, Timings { composite: render - begun, render, ..Timings::default() }))

@@ -208,7 +208,6 @@ impl Bytes for Avx2 {
 mod tests {
     use glam::Vec4;
     use proptest::prelude::*;
-    use rayon::prelude::*;
 
     use super::*;
     use crate::render::intermediate::BandBuffer;
