@@ -1,8 +1,6 @@
 //! How often each code occurs, and what can be read off that: ranges, peaks, thresholds.
 
-use rayon::prelude::*;
-
-use crate::volume::{Scalars, Volume};
+use crate::volume::{Volume, histogram};
 
 /// Counts over bins of equal width between the smallest and the largest code.
 pub struct Histogram {
@@ -22,12 +20,8 @@ impl Histogram {
     pub fn of(volume: &Volume) -> Self {
         let (low, high) = volume.code_range();
         let codes_per_bin = (usize::from(high - low) + 1).div_ceil(Self::MAX_BINS);
-        let bins = (usize::from(high - low) + 1).div_ceil(codes_per_bin);
-        let bin = |code: u16| usize::from(code - low) / codes_per_bin;
-        let counts = match volume.scalars() {
-            Scalars::U8(codes) => count(codes, bins, |c| bin(u16::from(c))),
-            Scalars::U16(codes) => count(codes, bins, bin),
-        };
+        let by_code = histogram::Histogram::of(volume);
+        let counts = by_code.counts().chunks(codes_per_bin).map(|bin| bin.iter().sum()).collect();
         let (slope, _) = volume.rescale();
         let first = volume.value_of_code(f64::from(low) + (codes_per_bin - 1) as f64 / 2.0);
         Self { counts, first, step: slope * codes_per_bin as f64, range: volume.value_range() }
@@ -163,18 +157,4 @@ impl Histogram {
         // The cast saturates at 0.
         (((value - self.first) / self.step).ceil() as usize).min(self.counts.len())
     }
-}
-
-/// Counts per bin, summed over chunks.
-fn count<T: Copy + Sync>(codes: &[T], bins: usize, bin: impl Fn(T) -> usize + Sync) -> Vec<u64> {
-    let chunk = |chunk: &[T]| {
-        let mut counts = vec![0_u64; bins];
-        chunk.iter().for_each(|&c| counts[bin(c)] += 1);
-        counts
-    };
-    let add = |mut a: Vec<u64>, b: Vec<u64>| {
-        a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-        a
-    };
-    codes.par_chunks(1 << 20).map(chunk).reduce(|| vec![0; bins], add)
 }
