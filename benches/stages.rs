@@ -2,6 +2,7 @@
 //! lengths; and the encoding of the finished picture after it.
 
 use std::hint::black_box;
+use std::sync::Arc;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use glam::Vec4;
@@ -40,7 +41,7 @@ fn stages(criterion: &mut Criterion) {
     criterion.bench_function("visible_voxels", |b| {
         b.iter(|| VisibleVoxels::new(&prepared, &tables, &occupied));
     });
-    let visible = VisibleVoxels::new(&prepared, &tables, &occupied);
+    let visible = Arc::new(VisibleVoxels::new(&prepared, &tables, &occupied));
     criterion.bench_function("run_lengths", |b| {
         b.iter(|| RunLengthVolume::encode(&prepared, &tables, &transfer, &visible));
     });

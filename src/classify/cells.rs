@@ -19,10 +19,11 @@ use crate::volume::scanlines::AnyScanlines;
 /// volume's octree: false only where no cell of the leaf is to be marked.
 pub fn mark(prepared: &PreparedVolume, visible: &[bool], occupied: &[bool]) -> Marks {
     let visible = visible.iter().copied();
-    match prepared.scanlines(2) {
+    let (marks, _) = match prepared.scanlines(2) {
         AnyScanlines::U8(scanlines) => Marks::new::<_, true>(scanlines, &VisibleCodes::new(visible), occupied),
         AnyScanlines::U16(scanlines) => Marks::new::<_, true>(scanlines, &VisibleCodes::new(visible), occupied),
-    }
+    };
+    marks
 }
 
 #[cfg(test)]

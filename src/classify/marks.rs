@@ -36,7 +36,24 @@ pub struct Marks {
     pub(super) along_y: Vec<u64>,
 }
 
-/// The voxels of slice `z`, or the `CELLS` between it and the next, to be marked in both orders.
+/// Which scanlines of a plane hold anything, a bit each.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Holding {
+    /// Those along x, by y.
+    pub rows: Vec<u64>,
+    /// Those along y, by x.
+    pub columns: Vec<u64>,
+}
+
+impl Holding {
+    /// Nothing in a plane of so many voxels (or cells) along x and y.
+    fn none(nx: usize, ny: usize) -> Self {
+        Self { rows: vec![0; words(ny)], columns: vec![0; words(nx)] }
+    }
+}
+
+/// The voxels of slice `z`, or the `CELLS` between it and the next, to be marked in both orders, which are zero. What stays so is neither
+/// written nor read: memory that is read before it is written is mapped twice, and each time all threads hear of it.
 struct Plane<'a, T, const CELLS: bool> {
     scanlines: Scanlines<'a, T>,
     visible: &'a VisibleCodes<T>,
@@ -47,26 +64,49 @@ struct Plane<'a, T, const CELLS: bool> {
 }
 
 impl<T: Code, const CELLS: bool> Kernel for Plane<'_, T, CELLS> {
-    type Output = ();
+    type Output = Holding;
 
     #[inline(always)]
-    fn run(self) {
+    fn run(self) -> Holding {
         let Self { scanlines, visible, z, .. } = self;
         let dims @ [nx, ny, _] = scanlines.dims();
         let less = usize::from(CELLS);
+        let (length, words_x) = (nx - less, words(nx - less));
         let mut occupied = OccupiedWords::new(self.occupied, dims, z);
-        for (y, marks) in self.rows.chunks_exact_mut(words(nx - less)).enumerate() {
-            let (near, far) = (scanlines.row(y, z), scanlines.row(y, z + less));
-            let rows = [near, far, scanlines.row(y + less, z), scanlines.row(y + less, z + less)];
-            let occupied = occupied.of_row(leaf_of(y, ny));
-            for (word, (marks, occupied)) in marks.iter_mut().zip(occupied).enumerate() {
-                if *occupied {
+        let mut holding = Holding::none(length, ny - less);
+        let mut any = vec![0; words_x];
+        for (block_row, strip) in self.rows.chunks_mut(WORD * words_x).enumerate() {
+            any.fill(0);
+            for (n, marks) in strip.chunks_exact_mut(words_x).enumerate() {
+                let y = block_row * WORD + n;
+                let (near, far) = (scanlines.row(y, z), scanlines.row(y, z + less));
+                let rows = [near, far, scanlines.row(y + less, z), scanlines.row(y + less, z + less)];
+                let occupied = occupied.of_row(leaf_of(y, ny));
+                let mut of_row = 0;
+                for (word, occupied) in occupied[..words_x].iter().enumerate() {
+                    if !*occupied {
+                        continue;
+                    }
                     let first = word * WORD;
-                    *marks = if CELLS { visible.mark_cells(rows, first) } else { visible.mark_voxels(rows[0], first) };
+                    let bits =
+                        if CELLS { visible.mark_cells(rows, first) } else { visible.mark_voxels(rows[0], first) };
+                    if bits != 0 {
+                        marks[word] = bits;
+                        any[word] |= bits;
+                        of_row = 1;
+                    }
+                }
+                holding.rows[block_row] |= of_row << n;
+            }
+            for (word, any) in any.iter().enumerate() {
+                if *any != 0 {
+                    holding.columns[word] |= any;
+                    let filled = holding.rows[block_row];
+                    turn_block((strip, filled), [word, block_row], [length, ny - less], self.columns);
                 }
             }
         }
-        turn(self.rows, [nx - less, ny - less], self.columns);
+        holding
     }
 }
 
@@ -93,6 +133,12 @@ impl<'a> AxisMarks<'a> {
         &self.bits[j * self.strides[0] + k * self.strides[1]..]
     }
 
+    /// Words of a scanline.
+    #[inline(always)]
+    pub fn words(&self) -> usize {
+        self.words
+    }
+
     /// Asks for scanline `j` of slice `k`; there may be no such slice.
     #[inline(always)]
     pub fn prefetch(&self, j: usize, k: usize) {
@@ -105,20 +151,55 @@ impl<'a> AxisMarks<'a> {
 
 impl Marks {
     /// Marks the voxels whose code is `visible`, or the `CELLS` between whose corners one is, on the current rayon pool. `occupied` has a flag for
-    /// each leaf of the volume's octree: false only where nothing in the leaf is to be marked. `scanlines` are those of the z axis.
+    /// each leaf of the volume's octree: false only where nothing in the leaf is to be marked. `scanlines` are those of the z axis. And gives
+    /// what [`Self::holding`] would.
     pub(super) fn new<T: Code, const CELLS: bool>(
         scanlines: Scanlines<'_, T>,
         visible: &VisibleCodes<T>,
         occupied: &[bool],
-    ) -> Self {
+    ) -> (Self, Vec<Holding>) {
         let dims @ [nx, ny, nz] = scanlines.dims().map(|n| n - usize::from(CELLS));
         let (rows, columns) = (ny * words(nx), nx * words(ny));
         let (mut along_x, mut along_y) = (vec![0; nz * rows + MORE], vec![0; nz * columns + MORE]);
         let planes = along_x.par_chunks_exact_mut(rows).zip(along_y.par_chunks_exact_mut(columns)).take(nz);
-        planes.enumerate().for_each(|(z, (rows, columns))| {
-            simd::dispatch(Plane::<_, CELLS> { scanlines, visible, occupied, z, rows, columns });
+        let holding = planes.enumerate().map(|(z, (rows, columns))| {
+            simd::dispatch(Plane::<_, CELLS> { scanlines, visible, occupied, z, rows, columns })
         });
-        Self { dims, along_x, along_y }
+        let holding = holding.collect();
+        (Self { dims, along_x, along_y }, holding)
+    }
+
+    /// What is left when the scanlines along x of each plane z have gone through `reduce`, on the current rayon pool; and what that gave.
+    pub(super) fn reduced<R: Send>(&self, reduce: impl Fn(usize, &mut [u64]) -> R + Sync) -> (Self, Vec<R>) {
+        let Self { dims: dims @ [nx, ny, _], mut along_x, mut along_y } = self.clone();
+        let (rows, columns) = (ny * words(nx), nx * words(ny));
+        let planes = along_x.par_chunks_exact_mut(rows).zip(along_y.par_chunks_exact_mut(columns)).take(dims[2]);
+        let given = planes.enumerate().map(|(z, (rows, columns))| {
+            let given = reduce(z, rows);
+            columns.fill(0);
+            turn(rows, [nx, ny], columns);
+            given
+        });
+        let given = given.collect();
+        (Self { dims, along_x, along_y }, given)
+    }
+
+    /// Which scanlines hold anything, by plane z, on the current rayon pool.
+    pub(super) fn holding(&self) -> Vec<Holding> {
+        let [nx, ny, nz] = self.dims;
+        let of_plane = |z| {
+            let (mut holding, [rows, _]) = (Holding::none(nx, ny), self.plane(z));
+            for (y, row) in rows.chunks_exact(words(nx)).enumerate() {
+                let mut all = 0;
+                for (column, bits) in holding.columns.iter_mut().zip(row) {
+                    *column |= bits;
+                    all |= bits;
+                }
+                holding.rows[y / WORD] |= u64::from(all != 0) << (y % WORD);
+            }
+            holding
+        };
+        (0..nz).into_par_iter().map(of_plane).collect()
     }
 
     /// What those of so many voxels (or cells) take in memory, both orders.
@@ -331,24 +412,38 @@ impl<'a> OccupiedWords<'a> {
 /// all zero.
 #[inline(always)]
 pub fn turn(marks: &[u64], [length, rows]: [usize; 2], turned: &mut [u64]) {
-    let (words_x, words_y) = (words(length), words(rows));
+    let words_x = words(length);
     for (block_row, strip) in marks.chunks(WORD * words_x).enumerate() {
         for word in 0..words_x {
-            let mut block = [0; WORD];
-            let mut any = 0;
-            for (bits, row) in block.iter_mut().zip(strip.chunks_exact(words_x)) {
-                *bits = row[word];
-                any |= *bits;
-            }
-            if any == 0 {
-                continue;
-            }
-            transpose(&mut block);
-            let columns = turned[word * WORD * words_y..].chunks_exact_mut(words_y);
-            for (column, bits) in columns.zip(block).take(length - word * WORD) {
-                column[block_row] = bits;
-            }
+            let filled = first_bits(strip.len() / words_x);
+            turn_block((strip, filled), [word, block_row], [length, rows], turned);
         }
+    }
+}
+
+/// Turns a word of each of up to 64 scanlines, of those of a `strip` that are `filled`.
+#[inline(always)]
+fn turn_block(
+    (strip, mut filled): (&[u64], u64),
+    [word, block_row]: [usize; 2],
+    [length, rows]: [usize; 2],
+    turned: &mut [u64],
+) {
+    let (mut block, mut any) = ([0; WORD], 0);
+    while filled != 0 {
+        let row = filled.trailing_zeros() as usize % WORD;
+        filled &= filled - 1;
+        block[row] = strip[row * words(length) + word];
+        any |= block[row];
+    }
+    if any == 0 {
+        return;
+    }
+    transpose(&mut block);
+    let words_y = words(rows);
+    let columns = turned[word * WORD * words_y..].chunks_exact_mut(words_y);
+    for (column, bits) in columns.zip(block).take(length - word * WORD) {
+        column[block_row] = bits;
     }
 }
 

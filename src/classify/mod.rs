@@ -19,6 +19,7 @@ pub mod transfer;
 pub mod visible;
 
 use std::io::{self, Read, Write};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::volume::PreparedVolume;
@@ -50,7 +51,7 @@ pub struct Classification {
     tables: CodeTables,
     slabs: Option<SlabTables>,
     occupied: Vec<bool>,
-    visible: Option<VisibleVoxels>,
+    visible: Option<Arc<VisibleVoxels>>,
     summed_area_table: Duration,
 }
 
@@ -75,7 +76,7 @@ impl Classification {
                 octree.occupied_leaves(|range| summed_area.is_transparent(range))
             }
         };
-        let visible = slabs.is_none().then(|| VisibleVoxels::new(prepared, &tables, &occupied));
+        let visible = slabs.is_none().then(|| Arc::new(VisibleVoxels::new(prepared, &tables, &occupied)));
         Self { purpose, tables, slabs, occupied, visible, summed_area_table: start.elapsed() }
     }
 
@@ -109,7 +110,7 @@ impl Classification {
 
     /// Which voxels are visible; `None` where slabs are classified.
     pub fn visible(&self) -> Option<&VisibleVoxels> {
-        self.visible.as_ref()
+        self.visible.as_deref()
     }
 
     /// How long tables, flags and visible voxels took.
@@ -119,7 +120,7 @@ impl Classification {
 
     /// Bytes in memory.
     pub fn bytes(&self) -> u64 {
-        let visible = self.visible.as_ref().map_or(0, VisibleVoxels::bytes);
+        let visible = self.visible().map_or(0, VisibleVoxels::bytes);
         self.tables.bytes() + self.slabs.as_ref().map_or(0, SlabTables::bytes) + self.occupied.len() as u64 + visible
     }
 }

@@ -13,19 +13,22 @@
 //! | x | y | z | x | along y | plane j, row k |
 //!
 //! The runs of 64 voxels are kept as the bits of a machine word, as those of cells are ([`super::cells`]): a word is intersected with the
-//! pixels that are not opaque yet whatever runs it holds, and the voxels before one are counted in an instruction.
+//! pixels that are not opaque yet whatever runs it holds, and the voxels before one are counted in an instruction. They are the marks of
+//! the [visible voxels](super::visible), and shared with the classification unless a gradient opacity leaves fewer.
 //!
 //! How the encodings are made: `rle/encode.rs`.
 
 mod encode;
 
+use std::sync::Arc;
+
 use bytemuck::zeroed_vec;
 
 pub use super::marks::MORE;
-use super::marks::{Shown, words};
+use super::marks::{Marks, Shown};
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
-use super::visible::VisibleVoxels;
+use super::visible::{AxisVisible, VisibleVoxels};
 use crate::simd::prefetch_at;
 use crate::volume::PreparedVolume;
 
@@ -42,6 +45,9 @@ pub struct Voxel {
 /// One encoded scanline.
 #[derive(Clone, Copy, Debug)]
 pub struct Scanline<'a> {
+    /// And more.
+    marks: &'a [u64],
+    words: usize,
     plane: &'a Plane,
     row: usize,
 }
@@ -50,13 +56,13 @@ impl<'a> Scanline<'a> {
     /// A bit for each voxel, set where it is not transparent.
     #[inline(always)]
     pub fn marks(&self) -> &'a [u64] {
-        &self.marks_and_more()[..self.plane.words]
+        &self.marks[..self.words]
     }
 
     /// The same and what follows: at least [`MORE`] words.
     #[inline(always)]
     pub fn marks_and_more(&self) -> &'a [u64] {
-        &self.plane.marks[self.row * self.plane.words..]
+        self.marks
     }
 
     /// The voxels of word `word` of the marks and what follows, at least [`MORE`] of them; and their gradient opacity, 255 = 1, or nothing where it
@@ -84,32 +90,27 @@ impl<'a> Scanline<'a> {
     }
 }
 
-/// Encoded scanlines of one plane.
+/// The voxels of one plane's scanlines.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plane {
     /// The first voxel of every row, and past the last.
     rows: Vec<u32>,
-    /// Of a row.
-    words: usize,
-    /// By row, and [`MORE`] of zero.
-    marks: Vec<u64>,
     /// By row, and [`MORE`] that are in none.
     voxels: Vec<Voxel>,
     factors: Vec<u8>,
 }
 
 impl Plane {
-    /// Rows of so many words of marks, and [`MORE`] of zero. The voxels, as many as marks, are given afterwards.
-    pub(super) fn of_marks(marks: Vec<u64>, words: usize) -> Self {
-        let count = marks.len() - MORE;
-        let mut rows = Vec::with_capacity(count / words + 1);
+    /// Of rows of so many words of `marks`. The voxels, as many as marks, are given afterwards.
+    pub(super) fn of_marks(marks: &[u64], words: usize) -> Self {
+        let mut rows = Vec::with_capacity(marks.len() / words + 1);
         rows.push(0);
         let mut voxels = 0;
-        for row in marks[..count].chunks_exact(words) {
+        for row in marks.chunks_exact(words) {
             voxels += row.iter().map(|word| word.count_ones()).sum::<u32>();
             rows.push(voxels);
         }
-        Self { rows, words, marks, voxels: zeroed_vec(voxels as usize + MORE), factors: vec![] }
+        Self { rows, voxels: zeroed_vec(voxels as usize + MORE), factors: vec![] }
     }
 
     /// How many voxels are stored.
@@ -134,14 +135,8 @@ impl Plane {
         self.factors = factors;
     }
 
-    /// Words of all rows.
-    pub(super) fn row_marks(&self) -> &[u64] {
-        &self.marks[..self.marks.len() - MORE]
-    }
-
     fn bytes(&self) -> u64 {
-        let voxels = size_of_val(&self.voxels[..]) + self.factors.len();
-        (size_of_val(&self.rows[..]) + size_of_val(&self.marks[..]) + voxels) as u64
+        (size_of_val(&self.rows[..]) + size_of_val(&self.voxels[..]) + self.factors.len()) as u64
     }
 }
 
@@ -149,21 +144,21 @@ impl Plane {
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunLengthVolume {
     pub(super) dims: [usize; 3],
+    /// Those that are stored.
+    pub(super) visible: Arc<VisibleVoxels>,
     /// Scanlines along x: a plane for each z with a row for each y.
     pub(super) along_x: Vec<Plane>,
     /// Scanlines along y: a plane for each z with a row for each x.
     pub(super) along_y: Vec<Plane>,
-    /// By principal axis.
-    shown: [Shown; 3],
 }
 
 /// The encoding that one principal axis walks.
 #[derive(Clone, Copy, Debug)]
 pub struct AxisEncoding<'a> {
+    visible: AxisVisible<'a>,
     planes: &'a [Plane],
     /// True where planes are slices k; else planes are scanline positions j.
     plane_is_slice: bool,
-    shown: &'a Shown,
 }
 
 impl<'a> AxisEncoding<'a> {
@@ -173,62 +168,49 @@ impl<'a> AxisEncoding<'a> {
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
         if let Some(plane) = self.planes.get(plane) {
             prefetch_at(&plane.rows, row);
-            prefetch_at(&plane.marks, row.wrapping_mul(plane.words));
         }
+        self.visible.marks.prefetch(j, k);
     }
 
     /// Which of the scanlines of slice `k` from `j` on hold anything, a bit each, and of 64 at most.
     #[inline(always)]
     pub fn shown(&self, j: usize, count: usize, k: usize) -> u64 {
-        self.shown.from(j, count, k)
+        self.visible.shown.from(j, count, k)
     }
 
     /// Scanline `j` of slice `k`.
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> Scanline<'a> {
         let (plane, row) = if self.plane_is_slice { (k, j) } else { (j, k) };
-        Scanline { plane: &self.planes[plane], row }
+        let marks = self.visible.marks;
+        Scanline { marks: marks.scanline_and_more(j, k), words: marks.words(), plane: &self.planes[plane], row }
     }
 }
 
 impl RunLengthVolume {
-    /// Of planes in both orders.
-    pub(super) fn new(dims: [usize; 3], along_x: Vec<Plane>, along_y: Vec<Plane>) -> Self {
-        let [nx, ny, nz] = dims;
-        let has = |plane: &Plane, row: usize| plane.rows[row] != plane.rows[row + 1];
-        let shown = [
-            Shown::new(nz, nx, |j, k| has(&along_y[j], k)),
-            Shown::new(nz, ny, |j, k| has(&along_x[j], k)),
-            Shown::new(ny, nz, |j, k| has(&along_x[k], j)),
-        ];
-        Self { dims, along_x, along_y, shown }
-    }
-
     /// Encodes what of the voxels that are `visible` by `tables` the gradient opacity of `transfer` leaves.
     pub fn encode(
         prepared: &PreparedVolume,
         tables: &CodeTables,
         transfer: &TransferFunction,
-        visible: &VisibleVoxels,
+        visible: &Arc<VisibleVoxels>,
     ) -> Self {
         encode::encode(prepared, tables, transfer, visible)
     }
 
     /// What encoding so many voxels, those of the occupied leaves, can take in memory at most.
-    pub(super) fn bytes_at_most([nx, ny, nz]: [usize; 3], voxels: u64) -> u64 {
+    pub(super) fn bytes_at_most(dims @ [nx, ny, nz]: [usize; 3], voxels: u64) -> u64 {
         // A voxel and its factor take 5 bytes.
-        let order = |length: usize, rows: usize| {
-            let marks = (rows * words(length) + MORE) * size_of::<u64>() + (rows + 1) * size_of::<u32>();
-            5 * voxels + (nz * (marks + MORE * size_of::<Voxel>())) as u64
-        };
+        let order =
+            |rows: usize| 5 * voxels + (nz * ((rows + 1) * size_of::<u32>() + MORE * size_of::<Voxel>())) as u64;
         let shown = Shown::bytes_of(nz, nx) + Shown::bytes_of(nz, ny) + Shown::bytes_of(ny, nz);
-        order(nx, ny) + order(ny, nx) + shown
+        order(ny) + order(nx) + Marks::bytes_of(dims) + shown
     }
 
     /// The encoding for a principal axis (0: x, 1: y, 2: z).
     pub fn for_axis(&self, axis: usize) -> AxisEncoding<'_> {
         let planes = if axis == 0 { &self.along_y } else { &self.along_x };
-        AxisEncoding { planes, plane_is_slice: axis == 2, shown: &self.shown[axis] }
+        AxisEncoding { visible: self.visible.for_axis(axis), planes, plane_is_slice: axis == 2 }
     }
 
     /// Number of non-transparent voxels.
@@ -241,9 +223,8 @@ impl RunLengthVolume {
         self.voxels() as f64 / self.dims.iter().product::<usize>() as f64
     }
 
-    /// Bytes in memory, all orders.
+    /// Bytes in memory, all orders, and of the marks whoever shares them.
     pub fn bytes(&self) -> u64 {
-        let shown: u64 = self.shown.iter().map(Shown::bytes).sum();
-        shown + self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum::<u64>()
+        self.visible.bytes() + self.along_x.iter().chain(&self.along_y).map(Plane::bytes).sum::<u64>()
     }
 }

@@ -4,9 +4,11 @@
 //! count before memory is taken for it, every mark and every code afterwards.
 
 use std::io::{self, Read, Write};
+use std::sync::Arc;
 
 use super::marks::{MORE, Marks, WORD, words};
 use super::rle::{Plane, RunLengthVolume, Voxel};
+use super::visible::VisibleVoxels;
 use crate::volume::Volume;
 use crate::volume::gradient::NO_NORMAL;
 
@@ -17,10 +19,12 @@ const BYTE_ORDER: u32 = 0x0102_0305;
 pub(super) fn write(encoding: &RunLengthVolume, out: &mut impl Write) -> io::Result<()> {
     out.write_all(bytemuck::bytes_of(&BYTE_ORDER))?;
     out.write_all(bytemuck::bytes_of(&encoding.dims.map(|n| n as u32)))?;
-    for plane in encoding.along_x.iter().chain(&encoding.along_y) {
-        out.write_all(bytemuck::cast_slice(plane.row_marks()))?;
-        out.write_all(bytemuck::cast_slice(plane.stored()))?;
-        out.write_all(plane.factors())?;
+    for (order, planes) in [&encoding.along_x, &encoding.along_y].into_iter().enumerate() {
+        for (z, plane) in planes.iter().enumerate() {
+            out.write_all(bytemuck::cast_slice(encoding.visible.plane(z)[order]))?;
+            out.write_all(bytemuck::cast_slice(plane.stored()))?;
+            out.write_all(plane.factors())?;
+        }
     }
     Ok(())
 }
@@ -31,10 +35,16 @@ pub(super) fn read(volume: &Volume, with_factors: bool, input: &mut impl Read) -
     expect(read_value::<u32>(input)? == BYTE_ORDER, "another byte order or format")?;
     expect(read_value::<[u32; 3]>(input)? == dims.map(|n| n as u32), "other dimensions")?;
     let last_code = volume.code_range().1;
-    let mut planes = |length: usize, rows: usize| -> io::Result<Vec<Plane>> {
-        (0..nz).map(|_| read_plane(input, length, rows, last_code, with_factors)).collect()
+    let mut order = |length: usize, rows: usize| -> io::Result<(Vec<u64>, Vec<Plane>)> {
+        let mut marks = vec![];
+        let plane = |_| read_plane(input, (length, rows), &mut marks, last_code, with_factors);
+        let planes = (0..nz).map(plane).collect::<io::Result<_>>()?;
+        marks.extend([0; MORE]);
+        Ok((marks, planes))
     };
-    Ok(RunLengthVolume::new(dims, planes(nx, ny)?, planes(ny, nx)?))
+    let ((marks_x, along_x), (marks_y, along_y)) = (order(nx, ny)?, order(ny, nx)?);
+    let visible = Arc::new(VisibleVoxels::of(Marks { dims, along_x: marks_x, along_y: marks_y }));
+    Ok(RunLengthVolume { dims, visible, along_x, along_y })
 }
 
 /// Writes the runs of cells.
@@ -52,29 +62,34 @@ pub(super) fn read_cells(volume: &Volume, input: &mut impl Read) -> io::Result<M
     let dims @ [nx, ny, nz] = volume.dims().map(|n| n - 1);
     expect(read_value::<u32>(input)? == BYTE_ORDER, "another byte order or format")?;
     expect(read_value::<[u32; 3]>(input)? == dims.map(|n| n as u32), "other dimensions")?;
-    let along_x = read_marks(input, nx, ny * nz)?;
-    Ok(Marks { dims, along_x, along_y: read_marks(input, ny, nx * nz)? })
+    let mut order = |length: usize, rows: usize| -> io::Result<Vec<u64>> {
+        let mut marks = read_marks(input, length, rows)?;
+        marks.extend([0; MORE]);
+        Ok(marks)
+    };
+    Ok(Marks { dims, along_x: order(nx, ny * nz)?, along_y: order(ny, nx * nz)? })
 }
 
-/// Reads marks of so many scanlines of a length, and checks that none is past the end of a scanline. [`MORE`] words of none follow.
+/// Reads marks of so many scanlines of a length, and checks that none is past the end of a scanline.
 fn read_marks(input: &mut impl Read, length: usize, rows: usize) -> io::Result<Vec<u64>> {
-    let mut marks: Vec<u64> = read_values(input, words(length) * rows)?;
+    let marks: Vec<u64> = read_values(input, words(length) * rows)?;
     let past_end = if length.is_multiple_of(WORD) { 0 } else { u64::MAX << (length % WORD) };
     let last = marks.chunks_exact(words(length)).map(|row| row[row.len() - 1]);
     expect(last.fold(0, |all, word| all | word) & past_end == 0, "marks past the end of a scanline")?;
-    marks.extend([0; MORE]);
     Ok(marks)
 }
 
+/// Reads a plane of so many scanlines of a length, and appends its marks to those before.
 fn read_plane(
     input: &mut impl Read,
-    length: usize,
-    rows: usize,
+    (length, rows): (usize, usize),
+    marks: &mut Vec<u64>,
     last_code: u16,
     with_factors: bool,
 ) -> io::Result<Plane> {
-    let marks = read_marks(input, length, rows)?;
-    let mut plane = Plane::of_marks(marks, words(length));
+    let of_plane = read_marks(input, length, rows)?;
+    let mut plane = Plane::of_marks(&of_plane, words(length));
+    marks.extend(of_plane);
     let voxels: Vec<Voxel> = read_values(input, plane.count())?;
     expect(voxels.iter().all(|v| v.code <= last_code && v.normal <= NO_NORMAL), "a wrong voxel")?;
     let factors = read_values(input, if with_factors { plane.count() } else { 0 })?;

@@ -5,10 +5,12 @@
 //! pass: walked along x, the next voxel of a column follows the one before, so that each column only
 //! needs to know its next place. Planes are independent and spread over the pool.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
-use super::{MORE, Plane, RunLengthVolume, Voxel};
-use crate::classify::marks::{WORD, turn, words};
+use super::{Plane, RunLengthVolume, Voxel};
+use crate::classify::marks::{WORD, words};
 use crate::classify::tables::CodeTables;
 use crate::classify::transfer::TransferFunction;
 use crate::classify::visible::VisibleVoxels;
@@ -24,7 +26,7 @@ pub fn encode(
     prepared: &PreparedVolume,
     tables: &CodeTables,
     transfer: &TransferFunction,
-    visible: &VisibleVoxels,
+    visible: &Arc<VisibleVoxels>,
 ) -> RunLengthVolume {
     let volume = prepared.volume();
     let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
@@ -41,7 +43,7 @@ struct Encoder<'a, T> {
     tables: &'a CodeTables,
     /// Where opacity depends on the gradient.
     transfer: Option<&'a TransferFunction>,
-    visible: &'a VisibleVoxels,
+    visible: &'a Arc<VisibleVoxels>,
 }
 
 impl<'a, T: Code> Encoder<'a, T> {
@@ -50,7 +52,7 @@ impl<'a, T: Code> Encoder<'a, T> {
         frame: &GradientFrame,
         tables: &'a CodeTables,
         transfer: &'a TransferFunction,
-        visible: &'a VisibleVoxels,
+        visible: &'a Arc<VisibleVoxels>,
     ) -> Self {
         Self {
             scanlines,
@@ -63,15 +65,39 @@ impl<'a, T: Code> Encoder<'a, T> {
 
     fn encode(&self) -> RunLengthVolume {
         let dims @ [_, _, nz] = self.scanlines.dims();
-        let plane = |z| simd::dispatch(EncodePlane { encoder: self, z });
+        let (visible, factors) = match self.transfer {
+            None => (Arc::clone(self.visible), vec![]),
+            Some(transfer) => {
+                let reduce = |z, marked: &mut [u64]| simd::dispatch(ReducePlane { encoder: self, transfer, z, marked });
+                let (visible, factors) = self.visible.reduced(reduce);
+                (Arc::new(visible), factors)
+            }
+        };
+        let plane = |z| {
+            let factors = factors.get(z).map(Vec::as_slice);
+            simd::dispatch(EncodePlane { encoder: self, marks: visible.plane(z), factors, z })
+        };
         let (along_x, along_y) = (0..nz).into_par_iter().map(plane).unzip();
-        RunLengthVolume::new(dims, along_x, along_y)
+        RunLengthVolume { dims, visible, along_x, along_y }
     }
+}
+
+/// The plane at `z`, whose marked voxels' gradient opacities are to be found (255 = 1, by `y * nx + x`, of others anything) and those that these
+/// make transparent to be no longer marked.
+struct ReducePlane<'a, T> {
+    encoder: &'a Encoder<'a, T>,
+    transfer: &'a TransferFunction,
+    z: usize,
+    marked: &'a mut [u64],
 }
 
 /// Both orders of the plane at `z`, to be encoded.
 struct EncodePlane<'a, T> {
     encoder: &'a Encoder<'a, T>,
+    /// By scanlines along x and along y.
+    marks: [&'a [u64]; 2],
+    /// Gradient opacities by `y * nx + x`, where they play a part.
+    factors: Option<&'a [u8]>,
     z: usize,
 }
 
@@ -81,40 +107,33 @@ impl<T: Code> Kernel for EncodePlane<'_, T> {
     #[inline(always)]
     fn run(self) -> (Plane, Plane) {
         let [nx, ny, _] = self.encoder.scanlines.dims();
-        let [mut rows, mut columns] = self.encoder.visible.plane(self.z).map(|marks| [marks, &[0; MORE]].concat());
-        let factors = self.encoder.transfer.map(|transfer| {
-            let (rows, columns) = (&mut rows[..words(nx) * ny], &mut columns[..words(ny) * nx]);
-            let factors = self.apply_gradient_opacity(transfer, rows);
-            columns.fill(0);
-            turn(rows, [nx, ny], columns);
-            factors
-        });
+        let [rows, columns] = self.marks;
         let mut along_x = Plane::of_marks(rows, words(nx));
         let mut along_y = Plane::of_marks(columns, words(ny));
         self.deal(&mut along_x, &mut along_y);
-        if let Some(factors) = factors {
-            along_x.gather(|y, x| factors[y * nx + x]);
-            along_y.gather(|x, y| factors[y * nx + x]);
+        if let Some(factors) = self.factors {
+            along_x.gather(rows, words(nx), |y, x| factors[y * nx + x]);
+            along_y.gather(columns, words(ny), |x, y| factors[y * nx + x]);
         }
         (along_x, along_y)
     }
 }
 
-impl<T: Code> EncodePlane<'_, T> {
-    /// Finds the marked voxels' gradient opacities, 255 = 1 (by `y * nx + x`, of others anything), and takes
-    /// the marks of those that it makes transparent.
+impl<T: Code> Kernel for ReducePlane<'_, T> {
+    type Output = Vec<u8>;
+
     #[inline(always)]
-    fn apply_gradient_opacity(&self, transfer: &TransferFunction, marked: &mut [u64]) -> Vec<u8> {
-        let Encoder { scanlines, gradients, tables, .. } = self.encoder;
+    fn run(self) -> Vec<u8> {
+        let Self { encoder: Encoder { scanlines, gradients, tables, .. }, transfer, z, marked } = self;
         let [nx, ny, _] = scanlines.dims();
         let mut factors = vec![0; nx * ny];
         let visible = marked.to_vec();
         let visible = visible.chunks_exact(words(nx));
         let rows = visible.zip(marked.chunks_exact_mut(words(nx))).zip(factors.chunks_exact_mut(nx));
         for (y, ((visible, marked), factors)) in rows.enumerate() {
-            let row = scanlines.row(y, self.z);
+            let row = scanlines.row(y, z);
             for block in Blocks::new(visible) {
-                let magnitudes = magnitudes(&gradients.block::<BLOCK>(y, self.z, block.first));
+                let magnitudes = magnitudes(&gradients.block::<BLOCK>(y, z, block.first));
                 for n in block.voxels() {
                     let at = block.first + n;
                     let factor = (transfer.gradient_factor(magnitudes[n].into()) * 255.0).round() as u8;
@@ -126,15 +145,17 @@ impl<T: Code> EncodePlane<'_, T> {
         }
         factors
     }
+}
 
+impl<T: Code> EncodePlane<'_, T> {
     /// Deals out the marked voxels.
     #[inline(always)]
     fn deal(&self, along_x: &mut Plane, along_y: &mut Plane) {
         let Encoder { scanlines, gradients, .. } = self.encoder;
-        let [_, ny, _] = scanlines.dims();
+        let [nx, _, _] = scanlines.dims();
         let mut next = 0;
         let mut places = along_y.rows.clone();
-        for (y, marked) in along_x.marks[..along_x.words * ny].chunks_exact(along_x.words).enumerate() {
+        for (y, marked) in self.marks[0].chunks_exact(words(nx)).enumerate() {
             let row = scanlines.row(y, self.z);
             for block in Blocks::new(marked) {
                 let normals = normals(&gradients.block::<BLOCK>(y, self.z, block.first));
@@ -152,10 +173,10 @@ impl<T: Code> EncodePlane<'_, T> {
 }
 
 impl Plane {
-    /// Fills in the factors of the marked voxels, by row and position in it.
-    fn gather(&mut self, factor: impl Fn(usize, usize) -> u8) {
+    /// Fills in the factors of voxels that are marked in rows of so many words, by row and position in it.
+    fn gather(&mut self, marks: &[u64], words: usize, factor: impl Fn(usize, usize) -> u8) {
         let mut factors = Vec::with_capacity(self.count());
-        for (row, marked) in self.row_marks().chunks_exact(self.words).enumerate() {
+        for (row, marked) in marks.chunks_exact(words).enumerate() {
             for block in Blocks::new(marked) {
                 factors.extend(block.voxels().map(|n| factor(row, block.first + n)));
             }
@@ -290,7 +311,7 @@ mod tests {
         let octree = octree_for(prepared, transfer);
         let summed_area = SummedAreaTable::new(&tables, transfer, octree);
         let occupied = octree.occupied_leaves(|range| summed_area.is_transparent(range));
-        let visible = VisibleVoxels::new(prepared, &tables, &occupied);
+        let visible = Arc::new(VisibleVoxels::new(prepared, &tables, &occupied));
         let encoding = RunLengthVolume::encode(prepared, &tables, transfer, &visible);
         let mut filled = 0;
         for axis in 0..3 {
