@@ -2,7 +2,7 @@
 //!
 //! It is what fast classification (Lacroute and Levoy 1994, section 3.3) asks octree and summed-area table for at every node, told once
 //! for a transfer function and to the voxel: in leaves that these cannot rule out, codes are compared, 64 at a time. The
-//! run-length encodings of [`super::rle`] begin with it and take one and a half to five times as long, for they compute the normals of what is visible and deal it
+//! run-length encodings of [`super::rle`] begin with it and take one and a half to six times as long, for they compute the normals of what is visible and deal it
 //! out. Whether a gradient opacity leaves anything of a voxel is not told here.
 
 use super::marks::{AxisMarks, Holding, Marks, Shown, VisibleCodes, WORD};
