@@ -36,7 +36,7 @@ pub(super) fn read(volume: &Volume, with_factors: bool, input: &mut impl Read) -
     expect(read_value::<[u32; 3]>(input)? == dims.map(|n| n as u32), "other dimensions")?;
     let last_code = volume.code_range().1;
     let mut order = |length: usize, rows: usize| -> io::Result<(Vec<u64>, Vec<Plane>)> {
-        let mut marks = vec![];
+        let mut marks = Vec::with_capacity(nz * rows * words(length) + MORE);
         let plane = |_| read_plane(input, (length, rows), &mut marks, last_code, with_factors);
         let planes = (0..nz).map(plane).collect::<io::Result<_>>()?;
         marks.extend([0; MORE]);
