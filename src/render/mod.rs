@@ -1,5 +1,6 @@
 //! Classified volume + [`View`] -> [`Image`]: one frame, pure, without async.
 
+mod awake;
 mod bands;
 pub mod composite;
 pub mod depth;

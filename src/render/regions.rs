@@ -22,7 +22,7 @@ use super::depth::{Hole, InverseWarp, Limits, SeenScanline, Stretch};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
 use super::view::{Clip, cut};
-use super::{Cancel, Image, RenderError, Scene, Settings, Timings, View, image, rays, shear_warp};
+use super::{Cancel, Image, RenderError, Scene, Settings, Timings, View, awake, image, rays, shear_warp};
 use crate::volume::Volume;
 
 /// Regions at most.
@@ -299,6 +299,7 @@ pub fn render_with_regions(
     cancel: &Cancel,
 ) -> Result<(Image, Timings), RenderError> {
     assert!(regions.len() <= MAX_REGIONS);
+    let _frame = awake::Frame::begin();
     let mut looks = regions.iter().filter_map(|region| region.shown).map(|(_, settings)| settings);
     if settings.is_warped() && looks.all(Settings::is_warped) {
         return shear_warp::frame(scene, view, settings, regions, cancel);
