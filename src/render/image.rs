@@ -4,7 +4,10 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::Background;
+use super::intermediate::Spare;
 use super::warp::Warp;
+
+static SPARE_PIXELS: Spare<u8> = Spare::none();
 
 /// 8-bit pixels, row 0 on top, rows without padding.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,6 +19,19 @@ pub struct Image {
     pub pixels: Vec<u8>,
     /// Of an intermediate image: what is left to be done. `None`: nothing, it is the final one.
     pub warp: Option<Warp>,
+}
+
+impl Drop for Image {
+    fn drop(&mut self) {
+        SPARE_PIXELS.give(std::mem::take(&mut self.pixels));
+    }
+}
+
+/// Memory for an image's pixels, all of which are still to be written: another image's may be in it.
+pub(super) fn unwritten(bytes: usize) -> Vec<u8> {
+    let mut pixels = SPARE_PIXELS.take();
+    pixels.resize(bytes, 0);
+    pixels
 }
 
 impl Image {
@@ -111,7 +127,7 @@ fn scale(color: Vec4) -> Vec4 {
 /// An image of premultiplied pixels.
 pub(super) fn write(pixels: &[Vec4], background: &Background, width: u32, height: u32) -> Image {
     let channels = background.channels();
-    let mut bytes = vec![0; pixels.len() * channels];
+    let mut bytes = unwritten(pixels.len() * channels);
     let rows = bytes.par_chunks_mut(width as usize * channels).zip(pixels.par_chunks(width as usize));
     rows.for_each(|(out, row)| write_row(row, background, out));
     Image { width, height, channels: channels as u8, pixels: bytes, warp: None }

@@ -17,7 +17,7 @@ use super::intermediate::IntermediateImage;
 use super::ray_light::RayLight;
 use super::regions::{self, Layers, Region, Shape};
 use super::shade::ShadingTable;
-use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Stage, Timings, View, warp};
+use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Stage, Timings, View, image, warp};
 use crate::classify::Classification;
 use crate::volume::gradient::GradientFrame;
 
@@ -61,7 +61,7 @@ pub(super) fn frame(
     let image = match unwarped {
         Some(image) => image,
         None => {
-            let mut pixels = vec![0; image_size[0] * image_size[1] * channels];
+            let mut pixels = image::unwritten(image_size[0] * image_size[1] * channels);
             warp::warp(&parts, &settings.background, image_size[0], &mut pixels, cancel)?;
             Image { width, height, channels: channels as u8, pixels, warp: None }
         }

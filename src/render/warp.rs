@@ -31,7 +31,7 @@ use super::depth::InverseWarp;
 use super::factorization::Factorization;
 use super::intermediate::{IntermediateImage, write_pixel};
 use super::simd::{self, Kernel};
-use super::{Background, Cancel, Image, RenderError};
+use super::{Background, Cancel, Image, RenderError, image};
 
 /// Fractional bits of a position that is stepped along a row: over 2^15 pixels it errs by less than
 /// 2^-16 pixels.
@@ -104,7 +104,7 @@ pub fn unwarped(part: &Part<'_>, background: &Background, size: [usize; 2]) -> O
         return None;
     }
     let channels = background.channels();
-    let mut pixels = vec![0; width * height * channels];
+    let mut pixels = image::unwritten(width * height * channels);
     pixels.par_chunks_exact_mut(width * channels).zip(vs.clone()).for_each(|(out, v)| {
         part.image.write(v, us.clone(), background, out);
     });
@@ -260,11 +260,10 @@ impl Row {
     #[inline(always)]
     fn affine<L: Lanes>(&self, image: &IntermediateImage, out: &mut [u8]) {
         let Range { start, end } = self.inside;
-        let first = start / LANES * LANES;
         let [du, dv] = [self.step.x, self.step.y].map(stepped);
-        let (mut u, mut v) = (stepped(self.start.x) + du * first as i64, stepped(self.start.y) + dv * first as i64);
+        let (start_u, start_v) = (stepped(self.start.x), stepped(self.start.y));
         let (along_u, along_v) = (along(du), along(dv));
-        for x in (first..end).step_by(LANES) {
+        let block = |u: i64, v: i64| {
             let (first_u, first_v) = (shortened(u), shortened(v));
             let (mut us, mut vs) = ([0; LANES], [0; LANES]);
             for lane in 0..LANES {
@@ -272,9 +271,24 @@ impl Row {
                 us[lane] = first_u.wrapping_add(along_u[lane]).max(0);
                 vs[lane] = first_v.wrapping_add(along_v[lane]).max(0);
             }
-            let (from, to) = (x.max(start), (x + LANES).min(end));
-            L::write(image, [us, vs], from - x, &mut out[(from - start) * L::CHANNELS..(to - start) * L::CHANNELS]);
-            (u, v) = (u + du * LANES as i64, v + dv * LANES as i64);
+            [us, vs]
+        };
+        // Whole blocks, which go from registers to where they belong, and what is left of the first and the last one.
+        let (whole, whole_end) = (start.next_multiple_of(LANES), end / LANES * LANES);
+        let parts = if whole > whole_end { [start..end, 0..0] } else { [start..whole, whole_end..end] };
+        for part in parts.into_iter().filter(|part| !part.is_empty()) {
+            let x = part.start / LANES * LANES;
+            let positions = block(start_u + du * x as i64, start_v + dv * x as i64);
+            let out = &mut out[(part.start - start) * L::CHANNELS..(part.end - start) * L::CHANNELS];
+            L::write(image, positions, part.start - x, out);
+        }
+        if whole < whole_end {
+            let (mut u, mut v) = (start_u + du * whole as i64, start_v + dv * whole as i64);
+            let out = &mut out[(whole - start) * L::CHANNELS..(whole_end - start) * L::CHANNELS];
+            for out in out.chunks_exact_mut(LANES * L::CHANNELS) {
+                L::write_all(image, block(u, v), out);
+                (u, v) = (u + du * LANES as i64, v + dv * LANES as i64);
+            }
         }
     }
 

@@ -24,6 +24,9 @@ pub trait Lanes {
     /// Writes as many pixels as `out` has room for, from lane `first` on. Positions may be anywhere from 0 on;
     /// those outside of the image give some pixel of it. Implementations are `#[inline(always)]`.
     fn write(image: &IntermediateImage, positions: Positions, first: usize, out: &mut [u8]);
+
+    /// Writes all eight. Implementations are `#[inline(always)]`.
+    fn write_all(image: &IntermediateImage, positions: Positions, out: &mut [u8]);
 }
 
 /// A way to interpolate eight pixels to red, green and blue.
@@ -50,11 +53,12 @@ impl<B: Bytes> Lanes for Rgb<B> {
 
     #[inline(always)]
     fn write(image: &IntermediateImage, positions: Positions, first: usize, out: &mut [u8]) {
-        let bytes = B::bytes(image, positions);
-        match out.first_chunk_mut() {
-            Some(out) if first == 0 => *out = bytes,
-            _ => out.copy_from_slice(&bytes[first * 3..][..out.len()]),
-        }
+        out.copy_from_slice(&B::bytes(image, positions)[first * 3..][..out.len()]);
+    }
+
+    #[inline(always)]
+    fn write_all(image: &IntermediateImage, positions: Positions, out: &mut [u8]) {
+        *out.first_chunk_mut().expect("room for eight") = B::bytes(image, positions);
     }
 }
 
@@ -72,6 +76,11 @@ impl Lanes for Rgba {
             let bytes = [r, g, b, alpha * (255.0 / f32::from(ONE))].map(|c| (c + 8_388_608.0).to_bits() as u8);
             out.copy_from_slice(&bytes);
         }
+    }
+
+    #[inline(always)]
+    fn write_all(image: &IntermediateImage, positions: Positions, out: &mut [u8]) {
+        Self::write(image, positions, 0, out);
     }
 }
 
