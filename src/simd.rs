@@ -2,7 +2,7 @@
 //!
 //! The kernels are plain code over arrays and [`glam::Vec4`]. What makes them fast is that they are also
 //! compiled for AVX2, and which of the two runs is decided once for a job (a band of scanlines). Only
-//! the warp's innermost loop, what packets of rays read ([`wide`]), pixels of 16-bit numbers ([`shorts`]) and [`masks`]
+//! the warp's innermost loop, what packets of rays read ([`wide`]) and compute ([`numbers`]), pixels of 16-bit numbers ([`shorts`]) and [`masks`]
 //! have twins written in AVX2's own terms ([`Kernel::run_avx2`]). Both give the same bits: nothing here fuses a multiplication with an addition.
 //!
 //! [`prefetch`] stands here too, for it is the other thing that a processor has and the language has not.
@@ -11,6 +11,7 @@
 //! entry below is compiled without its features.
 
 pub mod masks;
+pub mod numbers;
 pub mod shorts;
 pub mod wide;
 

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
+use super::simd::numbers::Numbers;
 use super::{Light, Shading, View};
 use crate::volume::Volume;
 
@@ -39,66 +40,41 @@ impl Lighting {
         }
     }
 
-    /// What a colour is multiplied with, and what is added to it, for `N` samples at once: where
+    /// What colours are multiplied with, and what is added to them, for samples side by side: where
     /// gradients (world, of any length) and directions to the eye (world, unit) are given by component.
     #[inline(always)]
-    pub fn shade<const N: usize>(&self, gradient: &[[f32; N]; 3], to_eye: &[[f32; N]; 3]) -> [[f32; N]; 2] {
-        let mut normal = [[0.0; N]; 3];
-        for n in 0..N {
-            let [x, y, z] = [gradient[0][n], gradient[1][n], gradient[2][n]];
-            let length = (x * x + y * y + z * z).sqrt();
-            // A gradient of zero has no normal; its cosines are 0 here and dealt with at the end.
-            let scale = if length > 0.0 { 1.0 / length } else { 0.0 };
-            [normal[0][n], normal[1][n], normal[2][n]] = [x * scale, y * scale, z * scale];
-        }
-        let (mut factors, mut addends) = ([self.ambient; N], [0.0; N]);
+    pub fn shade<V: Numbers>(&self, [x, y, z]: [V; 3], to_eye: [V; 3]) -> [V; 2] {
+        let (zero, one) = (V::all(0.0), V::all(1.0));
+        let length = (x * x + y * y + z * z).sqrt();
+        // A gradient of zero has no normal; its cosines are 0 here and dealt with at the end.
+        let scale = length.where_above(0.0, one / length, zero);
+        let normal = [x * scale, y * scale, z * scale];
+        let (mut factors, mut addends) = (V::all(self.ambient), zero);
         for &(towards, intensity) in &self.lights {
             let diffuse = intensity * self.diffuse;
             let specular = intensity * self.specular;
-            match towards {
-                None => {
-                    let mut cosines = cosines(&normal, to_eye);
-                    for n in 0..N {
-                        factors[n] += diffuse * cosines[n];
-                    }
-                    if specular > 0.0 {
-                        raise(&mut cosines, self.shininess);
-                        for n in 0..N {
-                            addends[n] += specular * cosines[n];
-                        }
-                    }
-                }
+            let (towards, half) = match towards {
+                None => (to_eye, to_eye),
                 Some(towards) => {
-                    let mut half = [[0.0; N]; 3];
-                    for n in 0..N {
-                        let [x, y, z] = [0, 1, 2].map(|axis| towards[axis] + to_eye[axis][n]);
-                        let length = (x * x + y * y + z * z).sqrt();
-                        let eye = [to_eye[0][n], to_eye[1][n], to_eye[2][n]];
-                        // A light opposite to the eye has no half vector.
-                        [half[0][n], half[1][n], half[2][n]] =
-                            if length > 0.0 { [x / length, y / length, z / length] } else { eye };
-                    }
-                    let towards = [[towards.x; N], [towards.y; N], [towards.z; N]];
-                    let diffuse_cosines = cosines(&normal, &towards);
-                    for n in 0..N {
-                        factors[n] += diffuse * diffuse_cosines[n];
-                    }
-                    if specular > 0.0 {
-                        let mut highlights = cosines(&normal, &half);
-                        raise(&mut highlights, self.shininess);
-                        for n in 0..N {
-                            addends[n] += specular * highlights[n];
-                        }
-                    }
+                    let towards = [V::all(towards.x), V::all(towards.y), V::all(towards.z)];
+                    let [x, y, z] = [towards[0] + to_eye[0], towards[1] + to_eye[1], towards[2] + to_eye[2]];
+                    let length = (x * x + y * y + z * z).sqrt();
+                    // A light opposite to the eye has no half vector.
+                    let half = [
+                        length.where_above(0.0, x / length, to_eye[0]),
+                        length.where_above(0.0, y / length, to_eye[1]),
+                        length.where_above(0.0, z / length, to_eye[2]),
+                    ];
+                    (towards, half)
                 }
+            };
+            factors = factors + V::all(diffuse) * cosines(normal, towards);
+            if specular > 0.0 {
+                addends = addends + V::all(specular) * raise(cosines(normal, half), self.shininess);
             }
         }
-        for n in 0..N {
-            let flat = gradient[0][n] == 0.0 && gradient[1][n] == 0.0 && gradient[2][n] == 0.0;
-            factors[n] = if flat { self.facing } else { factors[n] };
-            addends[n] = if flat { 0.0 } else { addends[n] };
-        }
-        [factors, addends]
+        let steep = x.abs() + y.abs() + z.abs();
+        [steep.where_above(0.0, factors, V::all(self.facing)), steep.where_above(0.0, addends, zero)]
     }
 }
 
@@ -145,45 +121,45 @@ impl AxialDepth {
     }
 }
 
-/// Raises cosines (0..=1) to the shininess, its whole part and the rest: the former by squaring, which vectorizes.
+/// A power below this is nothing to see. Left to shrink it would end as a number without a leading bit, which many processors
+/// multiply a hundred times slower.
+const DARK: f32 = 1e-18;
+
+/// Raises cosines (0..=1) to the shininess, its whole part and the rest: the former by squaring.
 #[inline(always)]
-pub(super) fn raise<const N: usize>(cosines: &mut [f32; N], (whole, fraction): (u32, f32)) {
-    let (mut bits, mut powers) = (whole, [1.0; N]);
-    if fraction > 0.0 {
-        for n in 0..N {
-            powers[n] = cosines[n].powf(fraction);
-        }
-    }
+pub(super) fn raise<V: Numbers>(mut cosines: V, (whole, fraction): (u32, f32)) -> V {
+    let dark = V::all(DARK);
+    let mut powers = if fraction > 0.0 { cosines.powf(fraction) } else { V::all(1.0) };
+    let mut bits = whole;
     while bits > 0 {
-        for n in 0..N {
-            powers[n] *= if bits & 1 == 1 { cosines[n] } else { 1.0 };
-            cosines[n] *= cosines[n];
+        if bits & 1 == 1 {
+            powers = (powers * cosines).most(dark);
         }
         bits >>= 1;
+        if bits > 0 {
+            cosines = (cosines * cosines).most(dark);
+        }
     }
-    *cosines = powers;
+    powers
 }
 
 /// The cosines of the angles between unit vectors, without their signs.
 #[inline(always)]
-pub(super) fn cosines<const N: usize>(a: &[[f32; N]; 3], b: &[[f32; N]; 3]) -> [f32; N] {
-    let mut cosines = [0.0; N];
-    for n in 0..N {
-        cosines[n] = (a[0][n] * b[0][n] + a[1][n] * b[1][n] + a[2][n] * b[2][n]).abs();
-    }
-    cosines
+pub(super) fn cosines<V: Numbers>(a: [V; 3], b: [V; 3]) -> V {
+    (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]).abs()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simd::numbers::Array;
 
     #[test]
     fn raising_is_powf() {
         for exponent in [0.0, 1.0, 2.5, 20.0, 33.25f32] {
-            let mut values = [0.0f32, 0.3, 0.9, 0.99, 1.0];
+            let values = [0.0f32, 0.3, 0.9, 0.99, 1.0];
             let expected = values.map(|v| v.powf(exponent));
-            raise(&mut values, (exponent as u32, exponent.fract()));
+            let Array(values) = raise(Array(values), (exponent as u32, exponent.fract()));
             for (value, expected) in values.iter().zip(expected) {
                 assert!((value - expected).abs() < 1e-5, "{exponent}: {value} {expected}");
             }
@@ -195,7 +171,8 @@ mod tests {
         let lighting = Lighting::new(&Shading { shininess: 20.5, ..Shading::default() }, 1.0);
         let c = 0.6f32;
         let gradient = [[-3.0, 0.0, 0.0, 5.0 * 0.8], [0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 5.0 * c]];
-        let [factors, addends] = lighting.shade(&gradient, &[[0.0; 4], [0.0; 4], [1.0; 4]]);
+        let to_eye = [0.0, 0.0, 1.0].map(Array::<4>::all);
+        let [Array(factors), Array(addends)] = lighting.shade(gradient.map(Array), to_eye);
         for (factor, expected) in factors.iter().zip([0.2, 1.0, 1.0, 0.2 + 0.8 * c]) {
             assert!((factor - expected).abs() < 1e-6, "{factor} {expected}");
         }
@@ -208,8 +185,9 @@ mod tests {
     fn a_light_from_the_side_has_its_highlight_half_way() {
         let light = Light::Directional { direction: DVec3::new(2.0, 0.0, 0.0), intensity: 0.5, shadows: false };
         let lighting = Lighting::new(&Shading { lights: vec![light], ..Shading::default() }, 1.0);
-        let [factor, addend] = lighting.shade(&[[1.0], [0.0], [1.0]], &[[0.0], [0.0], [1.0]]);
-        assert!((factor[0] - (0.2 + 0.4 * 0.5f32.sqrt())).abs() < 1e-6);
-        assert!((addend[0] - 0.1).abs() < 1e-6);
+        let [Array([factor]), Array([addend])] =
+            lighting.shade([1.0, 0.0, 1.0].map(Array::all), [0.0, 0.0, 1.0].map(Array::all));
+        assert!((factor - (0.2 + 0.4 * 0.5f32.sqrt())).abs() < 1e-6);
+        assert!((addend - 0.1).abs() < 1e-6);
     }
 }

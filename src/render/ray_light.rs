@@ -14,6 +14,7 @@ use glam::{DMat3, DVec3, Vec3};
 use crate::render::factorization::Factorization;
 use crate::render::lighting::Lighting;
 use crate::render::{Light, Shading};
+use crate::simd::numbers::Array;
 use crate::volume::Volume;
 use crate::volume::gradient::{GradientFrame, NORMALS};
 
@@ -62,7 +63,10 @@ impl RayLight {
     /// The same by gradients, of any length.
     #[inline(always)]
     pub fn of_gradients<const N: usize>(&self, gradients: &[[f32; N]; 3], at: [usize; 3]) -> [[f32; N]; 2] {
-        self.lighting.shade(gradients, &self.to_eye(at))
+        let gradients = [Array(gradients[0]), Array(gradients[1]), Array(gradients[2])];
+        let [x, y, z] = self.to_eye(at);
+        let [Array(factors), Array(addends)] = self.lighting.shade(gradients, [Array(x), Array(y), Array(z)]);
+        [factors, addends]
     }
 
     /// Unit vectors to the eye from consecutive voxels.

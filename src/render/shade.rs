@@ -8,15 +8,16 @@ use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::lighting::{cosines, raise};
+use super::simd::numbers::Numbers;
+#[cfg(target_arch = "x86_64")]
+use super::simd::wide::Avx2;
+use super::simd::wide::{LANES, Portable, Wide};
 use super::simd::{self, Kernel};
 use super::{Light, Shading};
 use crate::volume::gradient::{NO_NORMAL, NORMAL_CODES, NORMALS};
 
-/// Normals that are lit at once.
-const LANES: usize = 16;
-
-/// And before a thread looks for more.
-const FILLED_AT_ONCE: usize = 128 * LANES;
+/// Normals that a thread lights before it looks for more.
+const FILLED_AT_ONCE: usize = 256 * LANES;
 
 const _: () = assert!(NO_NORMAL as usize == NORMAL_CODES - 1 && (NORMAL_CODES - 1).is_multiple_of(LANES));
 
@@ -84,29 +85,45 @@ impl Kernel for Fill<'_> {
 
     #[inline(always)]
     fn run(self) {
+        self.fill::<Portable>();
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) {
+        self.fill::<Avx2>();
+    }
+}
+
+impl Fill<'_> {
+    #[inline(always)]
+    fn fill<W: Wide>(self) {
         let shininess = (self.shading.shininess as u32, self.shading.shininess.fract() as f32);
         let [x, y, z] = self.normals;
         let normals = x.as_chunks().0.iter().zip(y.as_chunks().0).zip(z.as_chunks().0);
         for (entries, ((x, y), z)) in self.entries.as_chunks_mut::<LANES>().0.iter_mut().zip(normals) {
-            let (normal, mut factors, mut addends) = ([*x, *y, *z], [self.shading.ambient as f32; LANES], [0.0; LANES]);
+            let normal = [W::Numbers::load(x), W::Numbers::load(y), W::Numbers::load(z)];
+            let (mut factors, mut addends) = (W::Numbers::all(self.shading.ambient as f32), W::Numbers::all(0.0));
             for FixedLight { towards, half, diffuse, specular } in self.lights {
-                let along = cosines(&normal, &[[towards.x; LANES], [towards.y; LANES], [towards.z; LANES]]);
-                for n in 0..LANES {
-                    factors[n] += diffuse * along[n];
-                }
+                let along = cosines(normal, everywhere::<W>(towards));
+                factors = factors + W::Numbers::all(*diffuse) * along;
                 if *specular > 0.0 {
-                    let mut highlights = cosines(&normal, &[[half.x; LANES], [half.y; LANES], [half.z; LANES]]);
-                    raise(&mut highlights, shininess);
-                    for n in 0..LANES {
-                        addends[n] += specular * highlights[n];
-                    }
+                    let highlights = raise(cosines(normal, everywhere::<W>(half)), shininess);
+                    addends = addends + W::Numbers::all(*specular) * highlights;
                 }
             }
+            let (factors, addends) = (factors.store(), addends.store());
             for n in 0..LANES {
                 entries[n] = [factors[n], addends[n]];
             }
         }
     }
+}
+
+/// A direction for all lanes.
+#[inline(always)]
+fn everywhere<W: Wide>(direction: &Vec3) -> [W::Numbers; 3] {
+    [W::Numbers::all(direction.x), W::Numbers::all(direction.y), W::Numbers::all(direction.z)]
 }
 
 #[cfg(test)]

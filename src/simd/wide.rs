@@ -7,6 +7,8 @@
 
 use glam::{Mat4, Vec4};
 
+use super::numbers::{Array, Numbers};
+
 /// Numbers of a 256-bit register.
 pub const LANES: usize = 8;
 
@@ -42,6 +44,9 @@ pub struct CellRow {
 /// A way to take eight lanes through a step. Where an index leads beyond the values, all lanes are 0. Implementations are
 /// `#[inline(always)]`.
 pub trait Wide {
+    /// What they are computed with.
+    type Numbers: Numbers<Memory = Lanes>;
+
     /// The cell of each position, and how far it is from its beginning to its end, 0..=1; of two cells that meet there,
     /// either.
     fn cells(at: &Lanes, row: &CellRow) -> [Lanes; 2];
@@ -65,9 +70,6 @@ pub trait Wide {
 
     /// The greater of each number and another one.
     fn at_least(numbers: &Lanes, least: f32) -> Lanes;
-
-    /// Those of `these` where a number is above 0, else those of `others`.
-    fn choose(numbers: &Lanes, these: &Lanes, others: &Lanes) -> Lanes;
 
     /// Those of `these` where a number is below `limit`, else 0.
     fn keep_below(numbers: &Lanes, limit: f32, these: &Lanes) -> Lanes;
@@ -113,6 +115,8 @@ pub fn rows(columns: &[Vec4; LANES]) -> [Lanes; 4] {
 }
 
 impl Wide for Portable {
+    type Numbers = Array<LANES>;
+
     #[inline(always)]
     fn cells(at: &Lanes, &CellRow { low, high, origin, last }: &CellRow) -> [Lanes; 2] {
         let [mut whole, mut fractions] = [[0.0; LANES]; 2];
@@ -197,15 +201,6 @@ impl Wide for Portable {
     }
 
     #[inline(always)]
-    fn choose(numbers: &Lanes, these: &Lanes, others: &Lanes) -> Lanes {
-        let mut chosen = *others;
-        for lane in 0..LANES {
-            chosen[lane] = if numbers[lane] > 0.0 { these[lane] } else { others[lane] };
-        }
-        chosen
-    }
-
-    #[inline(always)]
     fn keep_below(numbers: &Lanes, limit: f32, these: &Lanes) -> Lanes {
         let mut kept = *these;
         for lane in 0..LANES {
@@ -243,6 +238,7 @@ mod avx2 {
     use std::arch::x86_64::*;
 
     use super::*;
+    use crate::simd::numbers::Eight;
 
     // No closures below: they are functions of their own, which are compiled without AVX2.
 
@@ -414,6 +410,8 @@ mod avx2 {
     }
 
     impl Wide for Avx2 {
+        type Numbers = Eight;
+
         #[inline(always)]
         fn cells(at: &Lanes, &CellRow { low, high, origin, last }: &CellRow) -> [Lanes; 2] {
             // SAFETY: whoever takes this way has found AVX2.
@@ -498,15 +496,6 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn choose(numbers: &Lanes, these: &Lanes, others: &Lanes) -> Lanes {
-            // SAFETY: whoever takes this way has found AVX2.
-            unsafe {
-                let above = _mm256_cmp_ps::<_CMP_GT_OQ>(put(numbers), _mm256_setzero_ps());
-                get(_mm256_blendv_ps(put(others), put(these), above))
-            }
-        }
-
-        #[inline(always)]
         fn keep_below(numbers: &Lanes, limit: f32, these: &Lanes) -> Lanes {
             // SAFETY: whoever takes this way has found AVX2.
             unsafe {
@@ -554,7 +543,7 @@ mod tests {
         let (entries, fractions) = W::entries([&row, &column], 77);
         found.extend(fractions);
         found.extend([row, column]);
-        found.extend([W::choose(&column, &row, &along), W::keep_below(&column, 7.0, &row)]);
+        found.push(W::keep_below(&column, 7.0, &row));
         let columns = W::columns(&[row, column, along, across]);
         found.extend(rows(&columns));
         found.extend(columns.as_chunks().0.iter().map(|two: &[Vec4; 2]| {

@@ -12,6 +12,7 @@ use glam::{DAffine3, DMat4, DVec3};
 use crate::render::depth::SceneDepth;
 use crate::render::regions::Layer;
 use crate::render::view::{Clip, HalfSpace, Rays, View, cut};
+use crate::simd::numbers::Numbers;
 use crate::simd::wide::{LANES, Lanes, least, most};
 use crate::volume::Volume;
 
@@ -24,6 +25,9 @@ const AXIS_MARGIN: f64 = 1.0 + 1e-6;
 
 /// A ray must stay this long in the volume (in slices) to be followed.
 const SHORTEST: f64 = 1e-6;
+
+/// Layers from one on.
+const EIGHT_LAYERS: Lanes = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
 /// The rays of an image in index space.
 #[derive(Clone, Debug)]
@@ -295,5 +299,21 @@ impl Packet {
         let end = (cells - 1) as f32;
         let (low, high) = (least(least(a, b), least(c, d)), most(most(a, b), most(c, d)));
         [low, high].map(|at| least(most(at, 0.0), end) as u32 as usize)
+    }
+
+    /// The same between the two slices of each of some layers from one on, whole numbers but for what is behind the point.
+    #[inline(always)]
+    pub fn bounds_of_layers<V: Numbers<Memory = Lanes>>(&self, n: usize, layer: usize, cells: usize) -> [Lanes; 2] {
+        let (first, last) = self.lanes;
+        let (start, slope) = (&self.start[n], &self.slope[n]);
+        let from = V::all(layer as f32) + V::load(&EIGHT_LAYERS);
+        let to = from + V::all(1.0);
+        let (along, at_0) = (V::all(slope[first]), V::all(start[first]));
+        let (a, b) = (at_0 + from * along, at_0 + to * along);
+        let (along, at_0) = (V::all(slope[last]), V::all(start[last]));
+        let (c, d) = (at_0 + from * along, at_0 + to * along);
+        let (zero, end) = (V::all(0.0), V::all((cells - 1) as f32));
+        let (low, high) = (a.least(b).least(c.least(d)), a.most(b).most(c.most(d)));
+        [low.most(zero).least(end).store(), high.most(zero).least(end).store()]
     }
 }

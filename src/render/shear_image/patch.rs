@@ -13,6 +13,7 @@
 use glam::Vec4;
 
 use super::packet::{IN_SLICE, Packet};
+use crate::simd::numbers::Numbers;
 use crate::simd::prefetch;
 use crate::simd::wide::{CellRow, Indices, LANES, Lanes, Wide};
 use crate::volume::gradient::Code;
@@ -161,19 +162,13 @@ impl Patch {
         let [before, near, far, behind] = [0, 1, 2, 3].map(|n| &self.slices[n][..length]);
         // Of the voxel n + 1: a row has one before the first cell's.
         for n in (stride..stride * (self.rows - 1)).step_by(LANES) {
-            let at = |slice: &[f32], from: usize| lanes(slice, from);
-            let (left, right) = (at(middle, n), at(middle, n + 2));
-            let (above, below) = (at(middle, n + 1 - stride), at(middle, n + 1 + stride));
-            let (a, b, c, d) = (at(before, n + 1), at(near, n + 1), at(far, n + 1), at(behind, n + 1));
-            let mut differences = [[0.0; LANES]; 3];
-            for lane in 0..LANES {
-                differences[0][lane] = right[lane] - left[lane];
-                differences[1][lane] = below[lane] - above[lane];
-                let (front, back) = (c[lane] - a[lane], d[lane] - b[lane]);
-                differences[2][lane] = front + (back - front) * fraction;
-            }
-            let [x, y, z] = differences;
-            self.gradients[n..n + LANES].copy_from_slice(&W::columns(&[x, y, z, [0.0; LANES]]));
+            let along = numbers::<W>(middle, n + 2) - numbers::<W>(middle, n);
+            let across = numbers::<W>(middle, n + 1 + stride) - numbers::<W>(middle, n + 1 - stride);
+            let front = numbers::<W>(far, n + 1) - numbers::<W>(before, n + 1);
+            let back = numbers::<W>(behind, n + 1) - numbers::<W>(near, n + 1);
+            let through = front + (back - front) * W::Numbers::all(fraction);
+            let differences = [along.store(), across.store(), through.store(), [0.0; LANES]];
+            self.gradients[n..n + LANES].copy_from_slice(&W::columns(&differences));
         }
     }
 
@@ -245,10 +240,10 @@ fn lerp([near, far]: [&[f32]; 2], fraction: f32, length: usize, out: &mut Vec<f3
 
 /// Numbers from `from` on.
 #[inline(always)]
-fn lanes(slice: &[f32], from: usize) -> Lanes {
+fn numbers<W: Wide>(slice: &[f32], from: usize) -> W::Numbers {
     let mut lanes = [0.0; LANES];
     lanes.copy_from_slice(&slice[from..from + LANES]);
-    lanes
+    W::Numbers::load(&lanes)
 }
 
 /// Codes to floats; both of one length, a multiple of the lanes.

@@ -8,6 +8,7 @@
 use super::packet::{IN_SLICE, Packet};
 use crate::classify::marks::{AxisMarks, WORD};
 use crate::classify::{Classification, Encodings};
+use crate::simd::wide::{LANES, Wide};
 use crate::volume::octree::{LEAF, leaf_of, leaves_along};
 
 /// Where something may show.
@@ -53,27 +54,39 @@ impl<'a> Skip<'a> {
 
     /// The first layer from `layer` on (and before `end`) in which something may show.
     #[inline(always)]
-    pub fn next_layer(&self, packet: &Packet, mut layer: usize, end: usize) -> usize {
+    pub fn next_layer<W: Wide>(&self, packet: &Packet, mut layer: usize, end: usize) -> usize {
         let Some(leaves) = self.leaves else { return layer };
+        // In the midst of a leaf, its cells are asked at once.
+        let mut asked = self.cells.is_some() && layer > 0 && self.leaf_end(packet, layer - 1) > layer;
         while layer < end {
             let leaf_end = self.leaf_end(packet, layer).min(end);
-            let touched = self.leaves(packet, layer, leaf_end);
-            let mut shows = false;
-            for j in 0..touched.counts[1] {
-                for i in 0..touched.counts[0] {
-                    shows |= leaves[touched.at(i, j)];
+            if !std::mem::take(&mut asked) {
+                let touched = self.leaves(packet, layer, leaf_end);
+                let mut shows = false;
+                for j in 0..touched.counts[1] {
+                    for i in 0..touched.counts[0] {
+                        shows |= leaves[touched.at(i, j)];
+                    }
                 }
-            }
-            if !shows {
-                layer = leaf_end;
-                continue;
+                if !shows {
+                    layer = leaf_end;
+                    continue;
+                }
             }
             let Some(cells) = &self.cells else { return layer };
             while layer < leaf_end {
-                if self.layer_shows(&cells[packet.axis], packet, layer) {
-                    return layer;
+                // Of several layers at once: to ask the runs of cells takes less than to know where.
+                let [i, j] = IN_SLICE[packet.axis];
+                let [firsts, lasts] = packet.bounds_of_layers::<W::Numbers>(0, layer, self.dims[i] - 1);
+                let [tops, bottoms] = packet.bounds_of_layers::<W::Numbers>(1, layer, self.dims[j] - 1);
+                for n in 0..LANES.min(leaf_end - layer) {
+                    let columns = [firsts[n] as u32 as usize, lasts[n] as u32 as usize];
+                    let rows = [tops[n] as u32 as usize, bottoms[n] as u32 as usize];
+                    if any_marked(&cells[packet.axis], self.stored(packet, layer + n), columns, rows) {
+                        return layer + n;
+                    }
                 }
-                layer += 1;
+                layer = leaf_end.min(layer + LANES);
             }
         }
         end
@@ -118,30 +131,25 @@ impl<'a> Skip<'a> {
             steps,
         }
     }
+}
 
-    /// True where a cell that the packet touches in `layer` is marked.
-    #[inline(always)]
-    fn layer_shows(&self, cells: &AxisMarks<'_>, packet: &Packet, layer: usize) -> bool {
-        let [i, j] = IN_SLICE[packet.axis];
-        let span = [layer as f32, (layer + 1) as f32];
-        let [first, last] = packet.bounds(0, span, self.dims[i] - 1);
-        let [top, bottom] = packet.bounds(1, span, self.dims[j] - 1);
-        let k = self.stored(packet, layer);
-        let (first_word, last_word) = (first / WORD, last / WORD);
-        let from = u64::MAX << (first % WORD);
-        let to = u64::MAX >> (WORD - 1 - last % WORD);
-        let mut shows = 0;
-        for row in top..=bottom {
-            let words = cells.scanline(row, k);
-            if first_word == last_word {
-                shows |= words[first_word] & from & to;
-            } else {
-                shows |= words[first_word] & from | words[last_word] & to;
-                for word in &words[first_word + 1..last_word] {
-                    shows |= word;
-                }
+/// True where one of these cells of layer `k`, the last ones included, is marked.
+#[inline(always)]
+fn any_marked(cells: &AxisMarks<'_>, k: usize, [first, last]: [usize; 2], [top, bottom]: [usize; 2]) -> bool {
+    let (first_word, last_word) = (first / WORD, last / WORD);
+    let from = u64::MAX << (first % WORD);
+    let to = u64::MAX >> (WORD - 1 - last % WORD);
+    let mut marked = 0;
+    for row in top..=bottom {
+        let words = cells.scanline(row, k);
+        if first_word == last_word {
+            marked |= words[first_word] & from & to;
+        } else {
+            marked |= words[first_word] & from | words[last_word] & to;
+            for word in &words[first_word + 1..last_word] {
+                marked |= word;
             }
         }
-        shows != 0
     }
+    marked != 0
 }
