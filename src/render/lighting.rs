@@ -122,7 +122,7 @@ impl AxialDepth {
 }
 
 /// A power below this is nothing to see. Left to shrink it would end as a number without a leading bit, which many processors
-/// multiply a hundred times slower.
+/// multiply far slower.
 const DARK: f32 = 1e-18;
 
 /// Raises cosines (0..=1) to the shininess, its whole part and the rest: the former by squaring.

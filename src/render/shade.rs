@@ -5,7 +5,6 @@
 //! depend on the normal alone, and a frame computes them once for each of the normal codes.
 
 use glam::{DMat3, DVec3, Vec3};
-use rayon::prelude::*;
 
 use super::lighting::{cosines, raise};
 use super::simd::numbers::Numbers;
@@ -15,9 +14,6 @@ use super::simd::wide::{LANES, Portable, Wide};
 use super::simd::{self, Kernel};
 use super::{Light, Shading};
 use crate::volume::gradient::{NO_NORMAL, NORMAL_CODES, NORMALS};
-
-/// Normals that a thread lights before it looks for more.
-const FILLED_AT_ONCE: usize = 256 * LANES;
 
 const _: () = assert!(NO_NORMAL as usize == NORMAL_CODES - 1 && (NORMAL_CODES - 1).is_multiple_of(LANES));
 
@@ -48,11 +44,8 @@ impl ShadingTable {
         };
         let lights: Vec<FixedLight> = shading.lights.iter().map(light).collect();
         let mut entries = vec![[0.0; 2]; NORMAL_CODES];
-        entries.chunks_mut(FILLED_AT_ONCE).enumerate().par_bridge().for_each(|(n, entries)| {
-            let first = n * FILLED_AT_ONCE;
-            let normals = NORMALS.each_ref().map(|of_axis| &of_axis[first..first + entries.len()]);
-            simd::dispatch(Fill { shading, lights: &lights, normals, entries });
-        });
+        let normals = NORMALS.each_ref().map(|of_axis| &of_axis[..]);
+        simd::dispatch(Fill { shading, lights: &lights, normals, entries: &mut entries });
         entries[usize::from(NO_NORMAL)] = [shading.facing(transmittance) as f32, 0.0];
         Self { entries }
     }

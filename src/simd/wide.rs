@@ -68,9 +68,6 @@ pub trait Wide {
     /// The same of vectors, by component.
     fn bilinear_vectors(values: &[Vec4], stride: usize, at: &Indices, fractions: [&Lanes; 2]) -> [Lanes; 4];
 
-    /// The greater of each number and another one.
-    fn at_least(numbers: &Lanes, least: f32) -> Lanes;
-
     /// Those of `these` where a number is below `limit`, else 0.
     fn keep_below(numbers: &Lanes, limit: f32, these: &Lanes) -> Lanes;
 
@@ -189,15 +186,6 @@ impl Wide for Portable {
             }
         }
         rows(&between)
-    }
-
-    #[inline(always)]
-    fn at_least(numbers: &Lanes, least: f32) -> Lanes {
-        let mut kept = *numbers;
-        for number in &mut kept {
-            *number = most(*number, least);
-        }
-        kept
     }
 
     #[inline(always)]
@@ -490,12 +478,6 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn at_least(numbers: &Lanes, least: f32) -> Lanes {
-            // SAFETY: whoever takes this way has found AVX2.
-            unsafe { get(_mm256_max_ps(put(numbers), _mm256_set1_ps(least))) }
-        }
-
-        #[inline(always)]
         fn keep_below(numbers: &Lanes, limit: f32, these: &Lanes) -> Lanes {
             // SAFETY: whoever takes this way has found AVX2.
             unsafe {
@@ -539,7 +521,8 @@ mod tests {
         found.push(W::bilinear(values, 9, &index, [&along, &across]));
         let vectors: Vec<_> = values.windows(4).map(Vec4::from_slice).collect();
         found.extend(W::bilinear_vectors(&vectors, 9, &index, [&along, &across]));
-        let [row, column] = positions.each_ref().map(|at| W::at_least(at, 0.0));
+        let zero = W::Numbers::all(0.0);
+        let [row, column] = positions.each_ref().map(|at| W::Numbers::load(at).most(zero).store());
         let (entries, fractions) = W::entries([&row, &column], 77);
         found.extend(fractions);
         found.extend([row, column]);

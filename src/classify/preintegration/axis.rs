@@ -26,6 +26,7 @@ use glam::DVec4;
 
 use super::fixed::{cell, split};
 use super::medium::Medium;
+use crate::simd::numbers::Numbers;
 use crate::simd::wide::{CellRow, LANES, Lanes, Wide};
 
 /// Scalar codes -> positions on a table's axis.
@@ -94,13 +95,11 @@ impl SlabAxis {
     /// Positions of eight codes.
     #[inline(always)]
     pub fn coordinates<W: Wide>(&self, codes: &Lanes) -> Lanes {
-        let mut at = *codes;
-        for at in &mut at {
-            *at = (*at - self.first_code) * self.knots_per_code;
-        }
+        let from_first = W::Numbers::load(codes) - W::Numbers::all(self.first_code);
         if self.knots.is_empty() {
-            return W::at_least(&at, 0.0);
+            return from_first.most(W::Numbers::all(0.0)).store();
         }
+        let at = (from_first * W::Numbers::all(self.knots_per_code)).store();
         let everywhere = CellRow { low: 0.0, high: f32::INFINITY, origin: 0.0, last: f32::INFINITY };
         let [knots, shares] = W::cells(&at, &everywhere);
         W::linear(&self.knots, &W::indices(&[0.0; LANES], &knots, 0.0), &shares)

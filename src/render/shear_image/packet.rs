@@ -12,8 +12,8 @@ use glam::{DAffine3, DMat4, DVec3};
 use crate::render::depth::SceneDepth;
 use crate::render::regions::Layer;
 use crate::render::view::{Clip, HalfSpace, Rays, View, cut};
-use crate::simd::numbers::Numbers;
-use crate::simd::wide::{LANES, Lanes, least, most};
+use crate::simd::numbers::{Array, Numbers};
+use crate::simd::wide::{LANES, Lanes};
 use crate::volume::Volume;
 
 /// The volume's axes that `i, j` stand for, by principal axis: as the runs are stored.
@@ -292,28 +292,29 @@ impl Packet {
     /// corners bound them all.
     #[inline(always)]
     pub fn bounds(&self, n: usize, [from, to]: [f32; 2], cells: usize) -> [usize; 2] {
-        let (first, last) = self.lanes;
-        let (start, slope) = (&self.start[n], &self.slope[n]);
-        let (a, b) = (start[first] + from * slope[first], start[first] + to * slope[first]);
-        let (c, d) = (start[last] + from * slope[last], start[last] + to * slope[last]);
-        let end = (cells - 1) as f32;
-        let (low, high) = (least(least(a, b), least(c, d)), most(most(a, b), most(c, d)));
-        [low, high].map(|at| least(most(at, 0.0), end) as u32 as usize)
+        let [Array([low]), Array([high])] = self.extent(n, [Array([from]), Array([to])], cells);
+        [low as u32 as usize, high as u32 as usize]
     }
 
     /// The same between the two slices of each of some layers from one on, whole numbers but for what is behind the point.
     #[inline(always)]
     pub fn bounds_of_layers<V: Numbers<Memory = Lanes>>(&self, n: usize, layer: usize, cells: usize) -> [Lanes; 2] {
+        let from = V::all(layer as f32) + V::load(&EIGHT_LAYERS);
+        let [low, high] = self.extent(n, [from, from + V::all(1.0)], cells);
+        [low.store(), high.store()]
+    }
+
+    /// Where lanes are between two slice positions, as far as there are cells; side by side.
+    #[inline(always)]
+    fn extent<V: Numbers>(&self, n: usize, [from, to]: [V; 2], cells: usize) -> [V; 2] {
         let (first, last) = self.lanes;
         let (start, slope) = (&self.start[n], &self.slope[n]);
-        let from = V::all(layer as f32) + V::load(&EIGHT_LAYERS);
-        let to = from + V::all(1.0);
         let (along, at_0) = (V::all(slope[first]), V::all(start[first]));
         let (a, b) = (at_0 + from * along, at_0 + to * along);
         let (along, at_0) = (V::all(slope[last]), V::all(start[last]));
         let (c, d) = (at_0 + from * along, at_0 + to * along);
         let (zero, end) = (V::all(0.0), V::all((cells - 1) as f32));
         let (low, high) = (a.least(b).least(c.least(d)), a.most(b).most(c.most(d)));
-        [low.most(zero).least(end).store(), high.most(zero).least(end).store()]
+        [low.most(zero).least(end), high.most(zero).least(end)]
     }
 }
