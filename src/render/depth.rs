@@ -12,28 +12,32 @@
 
 mod inverse_warp;
 mod limits;
+mod surface;
+mod window;
 
 use std::fmt;
-use std::ops::Range;
 
-use glam::{DMat4, DVec2, DVec3};
+use glam::{DMat4, DVec2};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
+use super::awake;
 use super::view::View;
+use crate::simd::wide::{LANES, Lanes, Wide};
+use crate::simd::{self, Kernel};
 pub use inverse_warp::InverseWarp;
 pub use limits::{Hole, Limits, Seen, SeenScanline, Stretch};
+use surface::{goes_on, smooth};
+pub use window::NoWindowDepths;
+use window::{Ahead, Distances};
 
-/// A step between two pixels that is so many times as large as the larger of the two beside it is a tear.
-const TEAR: f32 = 2.0;
-
-/// Places that are told side by side, as registers have room.
-const LANES: usize = 8;
+/// Added to a number of 0 to 2^51, rounds it to an integer and leaves that in the lowest bits.
+const INTEGER: f64 = (1u64 << 52) as f64;
 
 type Doubles = [f64; LANES];
 
-/// Shorter steps, mm, are none: rounding of depth buffers.
-const FLAT: f32 = 1e-3;
+/// Rows that are told together.
+const BAND_HEIGHT: usize = 16;
 
 /// Where each pixel's ray meets opaque geometry.
 #[derive(Clone, PartialEq)]
@@ -63,39 +67,57 @@ impl SceneDepth {
     /// # Panics
     /// Where there is not one for each pixel.
     pub fn new(view: &View, distances: Vec<f32>) -> Self {
-        let (width, height) = view.size();
-        let (width, height) = (width as usize, height as usize);
-        assert_eq!(distances.len(), width * height, "a distance for each pixel");
-        let hash = xxh3_128(bytemuck::cast_slice(&distances));
-        let met = met(&distances, width);
-        let rows = met.map_or(0..0, |[low, high]| (low.y as usize).saturating_sub(1)..high.y as usize);
-        let smooth = smooth(&distances, width, rows);
-        Self { width, height, distances, smooth, met, hash }
+        assert_eq!(distances.len(), pixels(view), "a distance for each pixel");
+        let width = view.size().0 as usize;
+        let look = |rows| simd::dispatch(Look { rows, width });
+        let bands: Vec<_> = distances.par_chunks(width * BAND_HEIGHT).map(look).collect();
+        Self::of_bands(width, &bands, distances)
     }
 
     /// From a depth buffer in WebGL's window space (0 on the near plane, 1 on the far one, where nothing is), for the `view` that
     /// these matrices make.
     ///
+    /// # Errors
+    /// Where values are not from 0 to 1.
+    ///
     /// # Panics
     /// Where there is not one value for each pixel.
-    pub fn from_window(values: &[f32], view: &View, projection: &DMat4, camera: &DMat4) -> Self {
-        let world_from_clip = (*projection * *camera).inverse();
-        let (width, height) = view.size();
-        let distance = |(at, &value): (usize, &f32)| {
-            if value >= 1.0 {
-                return f32::INFINITY;
-            }
-            let pixel = DVec2::new(f64::from(at as u32 % width) + 0.5, f64::from(at as u32 / width) + 0.5);
-            let clip = DVec3::new(
-                2.0 * pixel.x / f64::from(width) - 1.0,
-                1.0 - 2.0 * pixel.y / f64::from(height),
-                2.0 * f64::from(value) - 1.0,
-            );
-            let ray = view.ray(pixel);
-            let point = world_from_clip * clip.extend(1.0);
-            ((point.truncate().dot(ray.direction) / point.w) - ray.origin.dot(ray.direction)) as f32
-        };
-        Self::new(view, values.par_iter().enumerate().map(distance).collect())
+    pub fn from_window(
+        values: &[f32],
+        view: &View,
+        projection: &DMat4,
+        camera: &DMat4,
+    ) -> Result<Self, NoWindowDepths> {
+        assert_eq!(values.len(), pixels(view), "a value for each pixel");
+        let _frame = awake::Frame::begin();
+        let ahead = Ahead::new(view, projection, camera);
+        let width = view.size().0 as usize;
+        let mut distances = vec![0.0; values.len()];
+        let bands = distances.par_chunks_mut(width * BAND_HEIGHT).zip(values.par_chunks(width * BAND_HEIGHT));
+        let bands = bands.enumerate().map(|(band, (distances, values))| {
+            let first = band * BAND_HEIGHT;
+            let others = simd::dispatch(Distances { ahead: &ahead, width, first, values, distances });
+            (others, simd::dispatch(Look { rows: distances, width }))
+        });
+        let (others, bands): (Vec<usize>, Vec<_>) = bands.unzip();
+        match others.into_iter().sum() {
+            0 => Ok(Self::of_bands(width, &bands, distances)),
+            others => Err(NoWindowDepths(others)),
+        }
+    }
+
+    /// With what is told of each band of rows.
+    fn of_bands(width: usize, bands: &[Told], distances: Vec<f32>) -> Self {
+        let hashes: Vec<u128> = bands.iter().map(|band| band.hash).collect();
+        let below = bands.iter().enumerate().filter_map(|(band, Told { met, .. })| {
+            let ([low, high], down) = ((*met)?, DVec2::new(0.0, (band * BAND_HEIGHT) as f64));
+            Some([low + down, high + down])
+        });
+        let met = below.reduce(|[low, high], [a, b]| [low.min(a), high.max(b)]);
+        let of_axis = |axis| met.map_or(0..0, |[low, high]: [DVec2; 2]| low[axis] as usize..high[axis] as usize);
+        let smooth = smooth(&distances, width, [0, 1].map(of_axis));
+        let (height, hash) = (distances.len() / width, xxh3_128(bytemuck::cast_slice(&hashes)));
+        Self { width, height, distances, smooth, met, hash }
     }
 
     /// Those of all pixels, mm, row by row from the top.
@@ -112,15 +134,9 @@ impl SceneDepth {
     /// The distance at pixel coordinates (centres at halves); beyond the picture it is as on its border.
     #[inline(always)]
     fn between(&self, at: DVec2) -> f32 {
-        // From the first centre to the last, and the pixel before.
-        let along = |at: f64, size: usize| {
-            let at = (at - 0.5).clamp(0.0, (size - 1) as f64);
-            let first = (at as usize).min(size.saturating_sub(2));
-            (first, (at - first as f64) as f32)
-        };
-        let ((x, fx), (y, fy)) = (along(at.x, self.width), along(at.y, self.height));
-        let pixel = y * self.width + x;
-        let (right, below) = (usize::from(self.width > 1), if self.height > 1 { self.width } else { 0 });
+        let ((x, fx), (y, fy)) = (cell(at.x, self.width), cell(at.y, self.height));
+        let pixel = y as usize * self.width + x as usize;
+        let (right, below) = self.ahead();
         if self.smooth[pixel] {
             let get = |ahead: usize| self.distances[pixel + ahead];
             let upper = get(0) + (get(right) - get(0)) * fx;
@@ -130,110 +146,128 @@ impl SceneDepth {
             self.distances[pixel + if fx >= 0.5 { right } else { 0 } + if fy >= 0.5 { below } else { 0 }]
         }
     }
-}
 
-impl SceneDepth {
-    /// [`Self::between`] side by side, at coordinates within the picture.
+    /// [`Self::between`] side by side.
     #[inline(always)]
-    fn between_all(&self, x: &Doubles, y: &Doubles) -> [f32; LANES] {
-        let ((x, fx), (y, fy)) = (centres_before(x, self.width), centres_before(y, self.height));
-        let (right, below) = (usize::from(self.width > 1), if self.height > 1 { self.width } else { 0 });
-        // The upper two and the lower two.
-        let mut around = [[0.0; LANES]; 4];
+    fn between_all<W: Wide>(&self, x: &Doubles, y: &Doubles) -> Lanes {
+        let (mut pixels, mut fx, mut fy) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
+        let width = self.width as u32;
+        for lane in 0..LANES {
+            let (column, along) = cell(x[lane], self.width);
+            let (row, across) = cell(y[lane], self.height);
+            pixels[lane] = whole(row).wrapping_mul(width).wrapping_add(whole(column));
+            (fx[lane], fy[lane]) = (along, across);
+        }
+        let (right, below) = self.ahead();
+        let mut distances = [0.0; LANES];
+        if right == 0 || below == 0 {
+            // There are no four around.
+            for lane in 0..LANES {
+                distances[lane] = self.between(DVec2::new(x[lane], y[lane]));
+            }
+            return distances;
+        }
+        let between = W::bilinear(&self.distances, self.width, &pixels, [&fx, &fy]);
         let mut smooth = [false; LANES];
         for lane in 0..LANES {
-            let pixel = y[lane] as usize * self.width + x[lane] as usize;
-            smooth[lane] = self.smooth[pixel];
-            let four = [pixel, pixel + right, pixel + below, pixel + below + right];
-            for (around, pixel) in around.iter_mut().zip(four) {
-                around[lane] = self.distances[pixel];
-            }
+            smooth[lane] = self.smooth[pixels[lane] as usize];
         }
-        let mut distances = [0.0; LANES];
+        if smooth == [true; LANES] {
+            return between;
+        }
         for lane in 0..LANES {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|n| around[n][lane]);
-            let (upper, lower) = (a + (b - a) * fx[lane], c + (d - c) * fx[lane]);
-            let between = upper + (lower - upper) * fy[lane];
-            let (upper, lower) = if fx[lane] >= 0.5 { (b, d) } else { (a, c) };
-            let nearest = if fy[lane] >= 0.5 { lower } else { upper };
-            distances[lane] = if smooth[lane] { between } else { nearest };
+            let nearest = pixels[lane] + if fx[lane] >= 0.5 { 1 } else { 0 } + if fy[lane] >= 0.5 { width } else { 0 };
+            let nearest = self.distances[nearest as usize];
+            distances[lane] = if smooth[lane] { between[lane] } else { nearest };
         }
         distances
     }
-}
 
-/// The first of two pixels' centres around coordinates along an axis of a picture, and how far from it to the next.
-#[inline(always)]
-fn centres_before(at: &Doubles, size: usize) -> ([i32; LANES], [f32; LANES]) {
-    let (mut first, mut fraction) = ([0; LANES], [0.0; LANES]);
-    let (last, last_first) = ((size - 1) as f64, size.saturating_sub(2) as i32);
-    for lane in 0..LANES {
-        let at = at[lane] - 0.5;
-        let at = if at > last {
-            last
-        } else if at > 0.0 {
-            at
-        } else {
-            0.0
-        };
-        let whole = (at as i32).min(last_first);
-        (first[lane], fraction[lane]) = (whole, (at - f64::from(whole)) as f32);
+    /// From a pixel to those to the right and below that there are.
+    #[inline(always)]
+    fn ahead(&self) -> (usize, usize) {
+        (usize::from(self.width > 1), if self.height > 1 { self.width } else { 0 })
     }
-    (first, fraction)
 }
 
-/// Pixel coordinates in rows of `width` that hold all that is finite.
-fn met(distances: &[f32], width: usize) -> Option<[DVec2; 2]> {
-    let of_row = |(y, row): (usize, &[f32])| {
-        let first = row.iter().position(|distance| distance.is_finite())?;
-        let last = row.iter().rposition(|distance| distance.is_finite())?;
-        Some([DVec2::new(first as f64, y as f64), DVec2::new((last + 1) as f64, (y + 1) as f64)])
-    };
-    let rows = distances.par_chunks(width).enumerate().filter_map(of_row);
-    rows.reduce_with(|[low, high], [a, b]| [low.min(a), high.max(b)])
-}
-
-/// By pixel of rows of `width`, whether a surface goes on between it and its neighbours to the right and below; not for others than
-/// `rows`.
-fn smooth(distances: &[f32], width: usize, rows: Range<usize>) -> Vec<bool> {
-    let height = distances.len() / width;
-    let mut smooth = vec![false; distances.len()];
-    let told = &mut smooth[rows.start * width..rows.end * width];
-    told.par_chunks_mut(width).enumerate().for_each(|(nth, smooth)| {
-        let y = rows.start + nth;
-        let row = |y: usize| &distances[y.min(height - 1) * width..][..width];
-        let [before, upper, lower, after] = [y.saturating_sub(1), y, y + 1, y + 2].map(row);
-        for (x, smooth) in smooth.iter_mut().enumerate() {
-            *smooth = goes_on([before[x], upper[x], lower[x], after[x]]);
-        }
-        for x in 1..width {
-            smooth[x - 1] &= smooth[x];
-        }
-        for row in [upper, lower] {
-            let at = |x: usize| row[x.min(width - 1)];
-            smooth[0] &= goes_on([at(0), at(0), at(1), at(2)]);
-            for (smooth, four) in smooth[1..].iter_mut().zip(row.windows(4)) {
-                *smooth &= goes_on([four[0], four[1], four[2], four[3]]);
-            }
-            for x in (1..width).rev().take(2) {
-                smooth[x] &= goes_on([at(x - 1), at(x), at(x + 1), at(x + 2)]);
-            }
-        }
-    });
-    smooth
-}
-
-/// Whether a surface goes on between the middle two of four neighbours.
+/// The first of two pixels' centres around a coordinate along an axis of a picture, and how far from it to the next; of two cells that
+/// meet there, either.
 #[inline(always)]
-fn goes_on([before, a, b, after]: [f32; 4]) -> bool {
-    let [before, step, after] = [a - before, b - a, after - b].map(f32::abs);
-    let beside = if before > after { before } else { after };
-    (step <= TEAR * beside + FLAT) & a.is_finite() & b.is_finite()
+fn cell(at: f64, size: usize) -> (f64, f32) {
+    let last = (size - 1) as f64;
+    let at = at - 0.5;
+    let at = if at > last { last } else { at };
+    let at = if at > 0.0 { at } else { 0.0 };
+    let middle = if at > 0.5 { at - 0.5 } else { 0.0 };
+    let first = (middle + INTEGER) - INTEGER;
+    let last_first = (last - 1.0).max(0.0);
+    let first = if first < last_first { first } else { last_first };
+    (first, (at - first) as f32)
+}
+
+/// A whole number from 0 to 2^32.
+#[inline(always)]
+fn whole(number: f64) -> u32 {
+    (number + INTEGER).to_bits() as u32
+}
+
+/// The job: what is told of rows of `width` distances.
+struct Look<'a> {
+    rows: &'a [f32],
+    width: usize,
+}
+
+/// What is told of some rows.
+struct Told {
+    hash: u128,
+    /// Pixel coordinates, from the first of the rows on, that hold all that is finite.
+    met: Option<[DVec2; 2]>,
+}
+
+impl Kernel for Look<'_> {
+    type Output = Told;
+
+    #[inline(always)]
+    fn run(self) -> Told {
+        let mut met: Option<[DVec2; 2]> = None;
+        for (y, row) in self.rows.chunks_exact(self.width).enumerate() {
+            let (eights, rest) = row.as_chunks::<LANES>();
+            let before = eights.iter().position(|eight| any_finite(eight)).unwrap_or(eights.len()) * LANES;
+            let Some(first) = row[before..].iter().position(|distance| distance.is_finite()) else { continue };
+            let first = before + first;
+            let within = if any_finite(rest) {
+                row.len()
+            } else {
+                eights.iter().rposition(|eight| any_finite(eight)).map_or(0, |n| (n + 1) * LANES)
+            };
+            let end = row[..within].iter().rposition(|distance| distance.is_finite()).map_or(first, |last| last) + 1;
+            let [low, high] = [(first, y), (end, y + 1)].map(|(x, y)| DVec2::new(x as f64, y as f64));
+            met = Some(met.map_or([low, high], |[a, b]| [low.min(a), high.max(b)]));
+        }
+        // Where all is infinite there is nothing else to tell.
+        let hash = if met.is_some() { xxh3_128(bytemuck::cast_slice(self.rows)) } else { 0 };
+        Told { hash, met }
+    }
+}
+
+/// Whether any number is finite.
+#[inline(always)]
+fn any_finite(numbers: &[f32]) -> bool {
+    let mut any = false;
+    for number in numbers {
+        any |= number.is_finite();
+    }
+    any
+}
+
+fn pixels(view: &View) -> usize {
+    let (width, height) = view.size();
+    width as usize * height as usize
 }
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
+    use glam::DVec3;
 
     use super::*;
     use crate::render::{Camera, Orbit};
@@ -257,33 +291,6 @@ mod tests {
         assert_eq!(depth.between(DVec2::new(-5.0, 0.5)), 0.0, "beyond the picture is as on its border");
     }
 
-    proptest! {
-        #[test]
-        fn surfaces_go_on_where_four_neighbours_along_all_sides_say_so(
-            width in 1usize..7,
-            steps in prop::collection::vec((0..4, -2.0f32..3.0), 1..40),
-        ) {
-            let mut distance = 10.0;
-            let mut distances: Vec<_> = steps.iter().map(|&(kind, step)| {
-                distance += if kind == 1 { 20.0 * step } else { step };
-                if kind == 0 { f32::INFINITY } else { distance }
-            }).collect();
-            distances.resize(steps.len().next_multiple_of(width), distance);
-            let height = distances.len() / width;
-            let at = |x: isize, y: isize| {
-                distances[y.clamp(0, height as isize - 1) as usize * width + x.clamp(0, width as isize - 1) as usize]
-            };
-            let told = smooth(&distances, width, 0..height);
-            for (pixel, told) in told.into_iter().enumerate() {
-                let (x, y) = ((pixel % width) as isize, (pixel / width) as isize);
-                let row = |y: isize| goes_on([-1, 0, 1, 2].map(|n| at(x + n, y)));
-                let column = |x: isize| goes_on([-1, 0, 1, 2].map(|n| at(x, y + n)));
-                let expected = row(y) && row(y + 1) && column(x) && column((x + 1).min(width as isize - 1));
-                prop_assert_eq!(told, expected, "pixel {} of {:?}", pixel, distances);
-            }
-        }
-    }
-
     #[test]
     fn where_nothing_is_rays_do_not_end() {
         let mut distances = vec![f32::INFINITY; 48];
@@ -295,18 +302,43 @@ mod tests {
 
     #[test]
     fn a_window_depth_is_a_distance_along_the_ray() {
-        let camera = DMat4::from_translation(DVec3::new(0.0, 0.0, -30.0));
-        let projection = glam::dcamera::rh::proj::opengl::perspective(0.5, 8.0 / 6.0, 1.0, 100.0);
-        let view = View::new(&Camera::Matrices { view: camera, projection }, DVec3::ZERO, 10.0, 8, 6).unwrap();
-        // The plane z = 4, 26 mm in front of the eye.
-        let clip = projection * DVec3::new(0.0, 0.0, -26.0).extend(1.0);
-        let depth = SceneDepth::from_window(&[(clip.z / clip.w * 0.5 + 0.5) as f32; 48], &view, &projection, &camera);
-        for (x, y) in [(0, 0), (4, 3), (7, 5)] {
-            let ray = view.ray(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
-            let met = ray.origin + ray.direction * f64::from(depth.at(x, y));
-            assert!((met.z - 4.0).abs() < 1e-3, "{met}");
+        use glam::dcamera::rh::proj::opengl::{orthographic, perspective};
+        let camera =
+            DMat4::from_rotation_x(0.3) * DMat4::from_rotation_z(0.5) * DMat4::from_translation(DVec3::splat(3.0));
+        let camera = DMat4::from_translation(DVec3::new(1.0, 2.0, -30.0)) * camera;
+        // Beside the middle, and with slanted rays.
+        let aside = DMat4::from_translation(DVec3::new(0.2, -0.1, 0.0));
+        let slanted =
+            DMat4::from_cols_array(&[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.3, 0.1, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        for projection in [
+            perspective(0.5, 19.0 / 6.0, 1.0, 100.0),
+            aside * perspective(0.5, 19.0 / 6.0, 1.0, 100.0),
+            orthographic(-12.0, 9.0, -4.0, 5.0, -10.0, 100.0),
+            slanted * orthographic(-12.0, 9.0, -4.0, 5.0, -10.0, 100.0),
+        ] {
+            let view = View::new(&Camera::Matrices { view: camera, projection }, DVec3::ZERO, 10.0, 19, 6).unwrap();
+            let point = |n: usize| {
+                let ray = view.ray(DVec2::new((n % 19) as f64 + 0.5, (n / 19) as f64 + 0.5));
+                ray.origin + ray.direction * (20.0 + n as f64 / 10.0)
+            };
+            let window = |n: usize| {
+                let clip = projection * camera * point(n).extend(1.0);
+                if n % 19 < 9 { 1.0 } else { (clip.z / clip.w * 0.5 + 0.5) as f32 }
+            };
+            let values: Vec<_> = (0..19 * 6).map(window).collect();
+            let depth = SceneDepth::from_window(&values, &view, &projection, &camera).unwrap();
+            for (n, (distance, value)) in depth.distances().iter().zip(values).enumerate() {
+                let expected = if value < 1.0 { 20.0 + n as f32 / 10.0 } else { f32::INFINITY };
+                assert!((distance - expected).abs() < 1e-3 || *distance == expected, "{distance} and {expected}");
+            }
+            assert_eq!(depth.met, Some([DVec2::new(9.0, 0.0), DVec2::new(19.0, 6.0)]));
         }
-        let empty = SceneDepth::from_window(&[1.0; 48], &view, &projection, &camera);
-        assert_eq!(empty.at(3, 3), f32::INFINITY);
+        let projection = perspective(0.5, 8.0 / 6.0, 1.0, 100.0);
+        let empty = SceneDepth::from_window(&[1.0; 48], &view(), &projection, &camera).unwrap();
+        assert_eq!((empty.at(3, 3), empty.met), (f32::INFINITY, None));
+        let mut values = [0.5; 48];
+        (values[7], values[20], values[47]) = (-0.1, f32::NAN, 1.5);
+        let refused = SceneDepth::from_window(&values, &view(), &projection, &camera);
+        assert_eq!(refused, Err(NoWindowDepths(3)));
     }
 }

@@ -8,7 +8,7 @@ use axum::extract::rejection::{BytesRejection, PathRejection};
 use axum::extract::{FromRequest, Path, RawQuery, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use tokio::sync::OwnedSemaphorePermit;
+use glam::DMat4;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::classified::ClassifiedKey;
@@ -16,7 +16,7 @@ use super::error::Problem;
 use super::observe::Rendered;
 use super::render_pool::Ticket;
 use super::request::{GeometryRequest, RenderRequest, RequestError, ResolvedRequest};
-use super::scene::{self, ClientScene, Parts};
+use super::scene::{self, Parts};
 use super::store::LoadedVolume;
 use super::{App, metrics, negotiate};
 use crate::encode::{Format, encode};
@@ -65,7 +65,7 @@ pub async fn from_body(
     let asked = Asked::new(&app, id, volume, request.clone(), format)?;
     let asked = match parts {
         None => asked,
-        Some(parts) => asked.within(&app, parts, &request).await?,
+        Some(parts) => asked.within(parts, &request)?,
     };
     asked.rendered(&app).await
 }
@@ -127,10 +127,9 @@ pub(super) struct Asked {
     /// Of the request's geometry.
     solids: Arc<[Solid]>,
     format: Format,
-    /// What stands behind the volume.
-    picture: Option<Arc<Image>>,
-    /// What a scene holds.
-    place: Option<OwnedSemaphorePermit>,
+    /// A scene to be merged with, for the view that these matrices make.
+    scene: Option<(Arc<Parts>, [DMat4; 2])>,
+    /// Of the frame without it.
     etag: String,
 }
 
@@ -141,6 +140,8 @@ pub(super) struct Made {
     /// Row by row, where it is an intermediate image.
     pub warp: Option<[f64; 9]>,
     pub bytes: Vec<u8>,
+    /// Of the scene that it was merged with.
+    scene: Option<u128>,
     queue: Duration,
     prepare: Duration,
     stages: Timings,
@@ -190,26 +191,19 @@ impl Asked {
         Mesh::room(count(|mesh| mesh.positions().len()), count(|mesh| mesh.triangles().len()))
             .map_err(|error| Problem::refused("/geometry", error.to_string()))?;
         let etag = etag(&volume, labels.as_deref(), &frame, format);
-        Ok(Self { arrived, id, volume, frame, labels, solids, format, picture: None, place: None, etag })
+        Ok(Self { arrived, id, volume, frame, labels, solids, format, scene: None, etag })
     }
 
     /// The same frame merged with a scene: rays end at its geometry, and its picture is behind the volume.
-    async fn within(mut self, app: &App, parts: Parts, request: &RenderRequest) -> Result<Self, Problem> {
-        let matrices = request.matrices();
-        let view = self.frame.view.clone();
-        let made = app.pool.admit()?.run(move |_| parts.scene(&view, matrices)).await?.0?;
-        let ClientScene { depth, picture, place } = made;
-        self.place = Some(place);
-        let mut made_from = format!("{} {depth:?}", self.etag);
-        self.frame.view = self.frame.view.ending_at(depth);
-        if let Some(picture) = picture {
-            made_from += &format!(" {:032x}", xxh3_128(&picture.pixels));
+    fn within(mut self, parts: Parts, request: &RenderRequest) -> Result<Self, Problem> {
+        let told = "expected matrices: a depth buffer means nothing without its projection";
+        let matrices = request.matrices().ok_or_else(|| Problem::refused("/camera", told))?;
+        if parts.have_picture() {
             // Its pixels are the background.
             self.frame.look.settings.background = Background::Transparent;
             self.frame.look.settings.stage = Stage::Final;
-            self.picture = Some(Arc::new(picture));
         }
-        self.etag = format!("\"{:032x}\"", xxh3_128(made_from.as_bytes()));
+        self.scene = Some((Arc::new(parts), matrices));
         Ok(self)
     }
 
@@ -282,7 +276,7 @@ impl Asked {
         };
         let prepare = start.elapsed();
         let (volume, frame, format) = (Arc::clone(&self.volume), self.frame.clone(), self.format);
-        let (picture, solids, labels) = (self.picture.clone(), Arc::clone(&self.solids), self.labels.clone());
+        let (scene, solids, labels) = (self.scene.clone(), Arc::clone(&self.solids), self.labels.clone());
         let job = move |cancel: &render::Cancel| {
             let prepared = volume.level(frame.level());
             let scenes: Vec<_> = frame
@@ -299,8 +293,13 @@ impl Asked {
                     shadow: shadow.as_deref().filter(|_| nth == 0),
                 })
                 .collect();
-            let (image, stages) = frame.render(&frame.view, &scenes, &solids, cancel)?;
-            let image = match &picture {
+            let client = scene.map(|(parts, matrices)| parts.scene(&frame.view, &matrices)).transpose()?;
+            let view = match &client {
+                None => frame.view.clone(),
+                Some(client) => frame.view.clone().ending_at(Arc::clone(&client.depth)),
+            };
+            let (image, stages) = frame.render(&view, &scenes, &solids, cancel)?;
+            let image = match client.as_ref().and_then(|client| client.picture.as_ref()) {
                 None => image,
                 Some(picture) => image.over(picture),
             };
@@ -310,11 +309,12 @@ impl Asked {
                 Problem::Internal("the frame could not be encoded")
             })?;
             let warp = image.warp.map(|warp| warp.image_from_intermediate.transpose().to_cols_array());
-            Ok::<_, Problem>((image_size(&image), warp, bytes, stages, start.elapsed()))
+            let scene = client.map(|client| client.hash());
+            Ok::<_, Problem>((image_size(&image), warp, bytes, scene, stages, start.elapsed()))
         };
         let (outcome, queue) = ticket.run(job).await?;
-        let (size, warp, bytes, stages, encode) = outcome?;
-        Ok(Made { size, warp, bytes, queue, prepare, stages, encode })
+        let (size, warp, bytes, scene, stages, encode) = outcome?;
+        Ok(Made { size, warp, bytes, scene, queue, prepare, stages, encode })
     }
 
     fn answer(&self, made: Made) -> Response {
@@ -324,7 +324,10 @@ impl Asked {
         let mut response = Body::from(made.bytes).into_response();
         response.extensions_mut().insert(Rendered { volume: self.id.clone(), algorithm });
         let headers = response.headers_mut();
-        self.validators(headers);
+        match made.scene {
+            None => validators(headers, &self.etag),
+            Some(scene) => validators(headers, &quoted(&format!("{} {scene:032x}", self.etag))),
+        }
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(self.format.media_type()));
         headers.insert(SERVER_TIMING, ascii(&timing.join(", ")));
         headers.insert(ALGORITHM, HeaderValue::from_static(algorithm));
@@ -339,16 +342,16 @@ impl Asked {
 
     fn not_modified(&self) -> Response {
         let mut response = StatusCode::NOT_MODIFIED.into_response();
-        self.validators(response.headers_mut());
+        validators(response.headers_mut(), &self.etag);
         response
     }
+}
 
-    /// What 200 and 304 have in common.
-    fn validators(&self, headers: &mut HeaderMap) {
-        headers.insert(header::ETAG, ascii(&self.etag));
-        headers.insert(header::VARY, HeaderValue::from_static("Accept"));
-        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static(CACHE_CONTROL));
-    }
+/// What 200 and 304 have in common.
+fn validators(headers: &mut HeaderMap, etag: &str) {
+    headers.insert(header::ETAG, ascii(etag));
+    headers.insert(header::VARY, HeaderValue::from_static("Accept"));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static(CACHE_CONTROL));
 }
 
 /// Width, height, channels.
@@ -363,6 +366,11 @@ fn etag(volume: &LoadedVolume, labels: Option<&LoadedVolume>, frame: &ResolvedRe
     let labels = labels.map_or(0, |labels| labels.fingerprint);
     let made_from =
         format!("{:032x} {labels:032x} {} {program} {}", volume.fingerprint, format.name(), frame.canonical());
+    quoted(&made_from)
+}
+
+/// What names all that is made from this.
+fn quoted(made_from: &str) -> String {
     format!("\"{:032x}\"", xxh3_128(made_from.as_bytes()))
 }
 

@@ -4,6 +4,7 @@
 //! nothing without them), `depth` and, if the volume is to be blended over it, `color`. Sizes are checked against the request before
 //! anything is decoded.
 
+use std::borrow::Cow;
 use std::convert::Infallible;
 use std::future::ready;
 use std::io::Cursor;
@@ -17,6 +18,7 @@ use glam::DMat4;
 use png::{BitDepth, ColorType, Transformations};
 use tokio::sync::OwnedSemaphorePermit;
 use tower::{Layer, ServiceExt, service_fn};
+use xxhash_rust::xxh3::xxh3_128;
 
 use super::App;
 use super::error::Problem;
@@ -33,8 +35,8 @@ const WHITE: f32 = u16::MAX as f32;
 pub struct Parts {
     depth: Part,
     color: Option<Part>,
-    /// Their place among the scenes that may be in memory.
-    place: OwnedSemaphorePermit,
+    /// Their place among the scenes that may be in memory, held as long as they are.
+    _place: OwnedSemaphorePermit,
 }
 
 struct Part {
@@ -48,8 +50,6 @@ pub struct ClientScene {
     pub depth: Arc<SceneDepth>,
     /// Opaque.
     pub picture: Option<Image>,
-    /// To be held as long as the two are.
-    pub place: OwnedSemaphorePermit,
 }
 
 /// True where the body has several parts.
@@ -91,7 +91,7 @@ async fn parts(app: &App, request: Request, place: OwnedSemaphorePermit) -> Resu
         *place = Some(Part { content_type, bytes: field.bytes().await.map_err(failed)? });
     }
     let depth = depth.ok_or_else(|| Problem::refused("/depth", "expected a part with the depth buffer"))?;
-    Ok((request.map(|part| part.bytes).unwrap_or_default(), Parts { depth, color, place }))
+    Ok((request.map(|part| part.bytes).unwrap_or_default(), Parts { depth, color, _place: place }))
 }
 
 /// The request with a limit of its own: the router's is for JSON.
@@ -103,27 +103,35 @@ pub async fn with_body_limit(request: Request, limit: usize) -> Request {
 }
 
 impl Parts {
-    /// Decodes the parts for the view that these matrices (view and projection) make.
+    /// True where the volume is to be blended over a picture.
+    pub fn have_picture(&self) -> bool {
+        self.color.is_some()
+    }
+
+    /// Decodes the parts for the view that these matrices (view and projection) make, on the current rayon pool.
     ///
     /// # Errors
-    /// 422 where there are no matrices, and where a part is not what it should be.
-    pub fn scene(self, view: &View, matrices: Option<[DMat4; 2]>) -> Result<ClientScene, Problem> {
-        let told = "expected matrices: a depth buffer means nothing without its projection";
-        let [camera, projection] = matrices.ok_or_else(|| Problem::refused("/camera", told))?;
+    /// 422 where a part is not what it should be.
+    pub fn scene(&self, view: &View, [camera, projection]: &[DMat4; 2]) -> Result<ClientScene, Problem> {
         let values = self.depth.depths(view.size())?;
-        let wrong = values.iter().filter(|value| !(0.0..=1.0).contains(*value)).count();
-        if wrong > 0 {
-            return Err(Problem::refused("/depth", format!("expected values from 0 to 1, got {wrong} others")));
-        }
-        let depth = Arc::new(SceneDepth::from_window(&values, view, &projection, &camera));
+        let depth = SceneDepth::from_window(&values, view, projection, camera);
+        let depth = Arc::new(depth.map_err(|error| Problem::refused("/depth", error.to_string()))?);
         let picture = self.color.as_ref().map(|color| color.picture(view.size())).transpose()?;
-        Ok(ClientScene { depth, picture, place: self.place })
+        Ok(ClientScene { depth, picture })
+    }
+}
+
+impl ClientScene {
+    /// Of all that frames show of it.
+    pub fn hash(&self) -> u128 {
+        let picture = self.picture.as_ref().map_or(0, |picture| xxh3_128(&picture.pixels));
+        xxh3_128(format!("{:?} {picture:032x}", self.depth).as_bytes())
     }
 }
 
 impl Part {
     /// Window-space depths, row by row from the top.
-    fn depths(&self, (width, height): (u32, u32)) -> Result<Vec<f32>, Problem> {
+    fn depths(&self, (width, height): (u32, u32)) -> Result<Cow<'_, [f32]>, Problem> {
         let pixels = width as usize * height as usize;
         match self.content_type.as_str() {
             OCTETS | "" => {
@@ -135,8 +143,10 @@ impl Part {
                     );
                     return Err(Problem::refused("/depth", detail));
                 }
-                let values = self.bytes.chunks_exact(size_of::<f32>());
-                Ok(values.map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four bytes"))).collect())
+                match bytemuck::try_cast_slice(&self.bytes) {
+                    Ok(values) if cfg!(target_endian = "little") => Ok(Cow::Borrowed(values)),
+                    _ => Ok(self.bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()),
+                }
             }
             PNG => {
                 let (color, depth, bytes) = self.decode("/depth", (width, height), Transformations::IDENTITY)?;

@@ -32,7 +32,13 @@ pub trait Masks {
     /// Finds the pixels that are `open` and over a cell of either scanline: of those that are `within` it, each raised by so many bits (0..64). What
     /// is raised above the last word is lost. True where there are any. Words are as many as those of `within`, a multiple of [`FOUR`].
     fn over_cells(scanlines: [(&[u64], u32); 2], within: &[u64], open: [&[u64]; 2], pixels: &mut [u64]) -> bool;
+
+    /// A word's pixels with numbers that are `until` at most, and those with numbers `below` another.
+    fn numbers(numbers: &[f32; WORD], until: f32, below: f32) -> [u64; 2];
 }
+
+/// Bits of a word.
+pub const WORD: usize = 64;
 
 /// The last bit of every four.
 const LAST: u64 = (u64::MAX / 0b1111) << 3;
@@ -44,6 +50,13 @@ pub fn fours(bits: u64) -> u64 {
     (pairs | pairs >> 2) & (LAST >> 3)
 }
 
+/// The first bits of aligned fours of voxels that hold all that a word's pixels touch: the one that each lies on and the next. The last
+/// one's next is the first of the word after that.
+#[inline(always)]
+pub fn asked(touched: u64) -> u64 {
+    fours(touched) | (touched & LAST) << 1
+}
+
 impl Masks for Portable {
     #[inline(always)]
     fn touch(
@@ -51,15 +64,15 @@ impl Masks for Portable {
         open: &[u64],
         Over { shift, between }: Over,
         within: &[u64],
-        Found { touched, asked }: Found<'_>,
+        found: Found<'_>,
     ) -> [usize; 2] {
         let (mut from, mut to, mut carry) = (usize::MAX, 0, 0);
-        for (n, (touched, asked)) in touched.iter_mut().zip(asked).enumerate() {
+        for (n, (touched, asks)) in found.touched.iter_mut().zip(found.asked).enumerate() {
             let marks = upper[n] | lower[n];
             let next = if between { marks >> 1 | (upper[n + 1] | lower[n + 1]) << 63 } else { 0 };
             let open = open[n] >> shift | open[n + 1] << 1 << (63 - shift);
             *touched = (marks | next) & open & within[n];
-            *asked = fours(*touched) | (*touched & LAST) << 1 | carry;
+            *asks = asked(*touched) | carry;
             carry = *touched >> 63;
             if *touched != 0 {
                 from = from.min(n);
@@ -84,10 +97,38 @@ impl Masks for Portable {
         }
         any != 0
     }
+
+    #[inline(always)]
+    fn numbers(numbers: &[f32; WORD], until: f32, below: f32) -> [u64; 2] {
+        let mut bits = [0; 2];
+        for (n, &number) in numbers.iter().enumerate() {
+            bits[0] |= u64::from(number <= until) << n;
+            bits[1] |= u64::from(number < below) << n;
+        }
+        bits
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
 impl Masks for super::wide::Avx2 {
+    #[inline(always)]
+    fn numbers(numbers: &[f32; WORD], until: f32, below: f32) -> [u64; 2] {
+        use std::arch::x86_64::*;
+
+        let mut bits = [0; 2];
+        for (n, eight) in numbers.as_chunks::<8>().0.iter().enumerate() {
+            // SAFETY: whoever takes this way has found AVX2; eight numbers are there.
+            unsafe {
+                let eight = _mm256_loadu_ps(eight.as_ptr());
+                let up_to = _mm256_cmp_ps::<_CMP_LE_OQ>(eight, _mm256_set1_ps(until));
+                let below = _mm256_cmp_ps::<_CMP_LT_OQ>(eight, _mm256_set1_ps(below));
+                bits[0] |= (_mm256_movemask_ps(up_to) as u64) << (8 * n);
+                bits[1] |= (_mm256_movemask_ps(below) as u64) << (8 * n);
+            }
+        }
+        bits
+    }
+
     #[inline(always)]
     fn over_cells(scanlines: [(&[u64], u32); 2], within: &[u64], open: [&[u64]; 2], pixels: &mut [u64]) -> bool {
         use std::arch::x86_64::*;
@@ -252,7 +293,37 @@ mod tests {
         }
     }
 
+    struct Numbers<'a>(&'a [f32; WORD], [f32; 2]);
+
+    impl Kernel for Numbers<'_> {
+        type Output = [[u64; 2]; 2];
+
+        fn run(self) -> Self::Output {
+            let Self(numbers, [until, below]) = self;
+            [Portable::numbers(numbers, until, below); 2]
+        }
+
+        #[cfg(target_arch = "x86_64")]
+        fn run_avx2(self) -> Self::Output {
+            let Self(numbers, [until, below]) = self;
+            [Portable::numbers(numbers, until, below), super::super::wide::Avx2::numbers(numbers, until, below)]
+        }
+    }
+
     proptest! {
+        #[test]
+        fn numbers_are_compared(
+            numbers in prop::collection::vec(prop_oneof![4 => (-3i8..4).prop_map(f32::from), 1 => Just(f32::NEG_INFINITY)], WORD),
+            [until, below] in prop::array::uniform2((-3i8..4).prop_map(f32::from)),
+        ) {
+            let numbers = *numbers.first_chunk().unwrap();
+            let [plain, wide] = dispatch(Numbers(&numbers, [until, below]));
+            for (n, number) in numbers.into_iter().enumerate() {
+                prop_assert_eq!(plain.map(|bits| bits >> n & 1 == 1), [number <= until, number < below], "{}", number);
+            }
+            prop_assert_eq!(plain, wide);
+        }
+
         /// Pixel by pixel, and in wide registers.
         #[test]
         fn a_pixel_is_touched_by_the_voxels_beside_it(

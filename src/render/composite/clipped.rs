@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::{WORD, below};
 use crate::render::factorization::{Clipping, Factorization};
 use crate::render::intermediate::Band;
+use crate::render::simd::masks::Masks;
 
 /// Pixels of a scanline, 64 a word.
 #[derive(Clone, Debug, Default)]
@@ -63,27 +64,40 @@ impl ClippedPixels {
         self.clipping.by_shapes() || self.by_limits || self.have_ended
     }
 
-    /// Clips the pixels of scanline `v`, the one entered, that are set in `open`; false where none is left. Nothing is behind those whose rays
-    /// have ended: they are not set any more.
+    /// Clips the pixels of scanline `v`, the one entered, that are set in `open`; false where all of them are left. Nothing is behind those whose
+    /// rays have ended: they are not set any more.
     #[inline(always)]
-    pub fn find(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2], open: &mut [u64]) -> bool {
+    pub fn find<W: Masks>(
+        &mut self,
+        factorization: &Factorization,
+        v: usize,
+        slices: [f64; 2],
+        open: &mut [u64],
+    ) -> bool {
         let limits = factorization.limits().filter(|_| self.by_limits || self.have_ended);
         let positions = slices.map(|k| factorization.position(k) as f32);
         if limits.is_some() {
             self.ended[v - self.first] = Some(self.front);
         }
-        self.open.resize(open.len(), 0);
+        self.open.clear();
+        self.open.extend_from_slice(open);
+        self.cut.clear();
         self.cut.resize(open.len(), 0);
         let by_shapes = self.clipping.by_shapes();
         let shapes = if by_shapes { self.shapes(factorization, v, slices) } else { Default::default() };
-        let (mut any, mut any_cut) = (0, 0);
-        for (word, open) in open.iter_mut().enumerate() {
-            let mut left = *open;
-            let mut cut = 0;
-            if left != 0 {
+        // Others are as they are.
+        let told = match limits {
+            Some(limits) if !by_shapes => limits.told_apart(v),
+            _ => 0..open.len(),
+        };
+        let (mut taken, mut any_cut) = (0, 0);
+        for word in told.start..told.end.min(open.len()) {
+            let was = open[word];
+            let (mut left, mut cut) = (was, 0);
+            if was != 0 {
                 if let Some(limits) = limits {
-                    let seen = limits.seen(v, word, positions);
-                    *open &= !seen.ended;
+                    let seen = limits.seen::<W>(v, word, positions);
+                    open[word] &= !seen.ended;
                     left &= seen.some;
                     cut = !seen.whole;
                 }
@@ -99,11 +113,11 @@ impl ClippedPixels {
             }
             self.open[word] = left;
             self.cut[word] = left & cut;
-            any |= left;
+            taken |= was & !left;
             any_cut |= left & cut;
         }
         (self.have_ended, self.cuts_any) = (false, any_cut != 0);
-        any != 0
+        taken != 0
     }
 
     /// The pixels of scanline `v` of which clip planes and balls leave something, and those of which they leave all; and what holes take.

@@ -25,6 +25,7 @@ use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::material::{Shader, SliceShader};
 use crate::render::pixel::Pixel;
+use crate::render::simd::masks::Masks;
 use crate::render::simd::masks::fours;
 use crate::render::simd::shorts::Shorts;
 use crate::render::slab::opacity_ratio;
@@ -126,7 +127,7 @@ impl VoxelLattice<Vec4> for Scaled {
             let mut scanline = band.scanline(row);
             scratch.clipped.enter_scanline(f, v, f.interval(k));
             let at = Place { factorization: f, along_u, us: us.clone(), v, k };
-            if !scratch.find(&at, &mut scanline) {
+            if !scratch.find::<W>(&at, &mut scanline) {
                 continue;
             }
             scratch.shade::<W, V, _>(voxels.source, first, [k, next], material);
@@ -177,7 +178,7 @@ impl Scratch {
     /// Finds the pixels over marked voxels that are not opaque and not clipped away, and the voxels under them;
     /// false where there is none.
     #[inline(always)]
-    fn find(&mut self, at: &Place<'_>, scanline: &mut ScanlineMut<'_, Vec4>) -> bool {
+    fn find<W: Masks>(&mut self, at: &Place<'_>, scanline: &mut ScanlineMut<'_, Vec4>) -> bool {
         self.pixels.clear();
         for word in 0..self.marked.len() {
             let mut marked = self.marked[word];
@@ -194,8 +195,8 @@ impl Scratch {
         let mut any = self.pixels.keep(scanline.non_opaque, &at.us);
         if any && self.clipped.is_any() {
             let f = at.factorization;
-            any = self.clipped.find(f, at.v, f.interval(at.k), scanline.non_opaque)
-                && self.pixels.keep(self.clipped.open(), &at.us);
+            any = !self.clipped.find::<W>(f, at.v, f.interval(at.k), scanline.non_opaque)
+                || self.pixels.keep(self.clipped.open(), &at.us);
         }
         if any {
             self.columns.fill(&at.along_u, &at.us);

@@ -291,8 +291,8 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
                 };
                 // And clipping leaves something of them.
                 any && (!clipped.is_any()
-                    || clipped.find(f, v, slab.ends, scanline.non_opaque)
-                        && pixels.keep(clipped.open(), &(0..usize::MAX)))
+                    || !clipped.find::<W>(f, v, slab.ends, scanline.non_opaque)
+                    || pixels.keep(clipped.open(), &(0..usize::MAX)))
             };
             let next = next.as_ref().filter(|(_, vs)| vs.contains(&v) && have_begun(v));
             *found = next.map(|(next, _)| self.mark::<W>(next, v, &scanline, inside_ahead, ahead));

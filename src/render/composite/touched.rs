@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::{WORD, below};
-use crate::render::simd::masks::{FOUR, Found, Masks, Over};
+use crate::render::simd::masks::{FOUR, Found, Masks, Over, asked};
 
 /// The pixels of a scanline that are neither opaque nor clipped away, and how they lie over one of voxels.
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +60,25 @@ impl Touched {
         to != 0
     }
 
+    /// Those that are open still; false where none is.
+    #[inline(always)]
+    pub fn keep(&mut self, open: &Open<'_>) -> bool {
+        let (pixels, shift) = (&open.words[open.first / WORD..], open.first % WORD);
+        let (mut any, mut carry) = (0, 0);
+        for word in self.range.clone() {
+            let open = pixels[word] >> shift | pixels[word + 1] << 1 << (WORD - 1 - shift);
+            let kept = self.words[word] & open;
+            self.words[word] = kept;
+            self.asked[word] = asked(kept) | carry;
+            carry = kept >> (WORD - 1);
+            any |= kept;
+        }
+        if let Some(asked) = self.asked.get_mut(self.range.end) {
+            *asked = carry;
+        }
+        any != 0
+    }
+
     /// By word, and which of the words there are any in.
     #[inline(always)]
     pub fn words(&self) -> (&[u64], Range<usize>) {
@@ -72,5 +91,43 @@ impl Touched {
         // The last pixel of a word touches the first voxel of the next.
         let Range { start, end } = self.range;
         (&self.asked, start..end + usize::from(self.words[end - 1] >> (WORD - 1) != 0 && end < self.of_voxels))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::simd::wide::Portable;
+
+    proptest! {
+        #[test]
+        fn those_that_are_kept_are_found_among_fewer_open_ones(
+            marks in prop::collection::vec(any::<u64>(), 5),
+            sparse in prop::collection::vec(any::<u64>(), 5),
+            open in prop::collection::vec(any::<u64>(), 8),
+            fewer in prop::collection::vec(any::<u64>(), 8),
+            first in 0usize..190,
+            between: bool,
+        ) {
+            let marks: Vec<_> = marks.iter().zip(sparse).map(|(marks, sparse)| marks & sparse & sparse >> 13).collect();
+            let fewer: Vec<_> = open.iter().zip(fewer).map(|(open, fewer)| open & fewer).collect();
+            let [mut kept, mut found] = [(); 2].map(|()| Touched::new(4 * WORD));
+            if !kept.find::<Portable>(&marks, &marks, &Open { words: &open, first, between }) {
+                return Ok(());
+            }
+            let fewer = Open { words: &fewer, first, between };
+            let any = found.find::<Portable>(&marks, &marks, &fewer);
+            prop_assert_eq!(kept.keep(&fewer), any);
+            prop_assert_eq!(&kept.words, &found.words);
+            if any {
+                let asked = |touched: &Touched| {
+                    let (asked, words) = touched.asked();
+                    words.map(|word| (word, asked[word])).filter(|(_, asked)| *asked != 0).collect::<Vec<_>>()
+                };
+                prop_assert_eq!(asked(&kept), asked(&found));
+            }
+        }
     }
 }

@@ -191,8 +191,8 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
             }
             let is_clipped = CARE && clipped.is_any();
             if is_clipped {
-                let is_left = clipped.find(f, v, slices, scanline.non_opaque);
-                if !is_left || !touched.find::<W>(marks.0, marks.1, &Open { words: clipped.open(), ..lies }) {
+                let takes = clipped.find::<W>(f, v, slices, scanline.non_opaque);
+                if takes && !touched.keep(&Open { words: clipped.open(), ..lies }) {
                     continue;
                 }
             }

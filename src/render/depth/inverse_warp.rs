@@ -5,12 +5,14 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec2, DVec3};
 
-use super::limits::bounds;
-use super::{Doubles, LANES, Limits, SceneDepth, SeenScanline, goes_on};
+use super::{Doubles, Limits, SceneDepth, SeenScanline, goes_on};
 use crate::render::factorization::Factorization;
-use crate::render::simd::{self, Kernel};
 use crate::render::view::{Rays, View};
 use crate::render::warp::inside;
+#[cfg(target_arch = "x86_64")]
+use crate::simd::wide::Avx2;
+use crate::simd::wide::{LANES, Lanes, Portable, Wide, least, most};
+use crate::simd::{self, Kernel};
 use crate::volume::Volume;
 
 /// No pixel is so far from a picture, pixels.
@@ -94,7 +96,7 @@ impl<'a> InverseWarp<'a> {
 
     /// The same as [`Self::image_point`] and [`Self::end_at`] tell for the pixels of scanline `v` from `u` on, side by side.
     #[inline(always)]
-    fn ends(&self, u: usize, v: usize) -> [f32; LANES] {
+    fn ends<W: Wide>(&self, u: usize, v: usize) -> Lanes {
         let (m, v) = (&self.image_from_sheared, v as f64);
         let (mut x, mut y, mut z) = ([0.0; LANES], [0.0; LANES], [1.0; LANES]);
         for lane in 0..LANES {
@@ -108,19 +110,13 @@ impl<'a> InverseWarp<'a> {
                 (x[lane], y[lane]) = (x[lane] / z[lane], y[lane] / z[lane]);
             }
         }
-        let within = |at: f64, size: f64| {
-            if at > size {
-                size
-            } else if at > 0.0 {
-                at
-            } else {
-                0.0
+        for (at, size) in [(&mut x, self.size.x), (&mut y, self.size.y)] {
+            for at in at {
+                let below = if *at > size { size } else { *at };
+                *at = if below > 0.0 { below } else { 0.0 };
             }
-        };
-        for lane in 0..LANES {
-            (x[lane], y[lane]) = (within(x[lane], self.size.x), within(y[lane], self.size.y));
         }
-        let distances = self.depth.between_all(&x, &y);
+        let distances = self.depth.between_all::<W>(&x, &y);
         let along = self.along.indices(&x, &y, &distances);
         let beyond = self.beyond();
         let mut ends = [beyond; LANES];
@@ -149,14 +145,14 @@ impl<'a> InverseWarp<'a> {
         let met = [upper.told(), lower.told()].into_iter().filter(|told| !told.is_empty());
         let (first, end) = met.fold((width, 0), |(first, end), met| (first.min(met.start), end.max(met.end)));
         let cells = us.start.max(first.saturating_sub(1))..us.end.min(end).min(width - 1);
-        let apart = cells.filter(move |&u| {
-            let [low, high] = bounds(&[upper.at(u), upper.at(u + 1), lower.at(u), lower.at(u + 1)].map(|at| at.to));
-            high - low > least
-        });
+        let cells = cells.start..cells.end.max(cells.start);
+        let apart =
+            simd::dispatch(Apart { rows: [upper, lower].map(|row| row.ends(cells.start..cells.end + 1)), least });
+        let apart = cells.zip(apart).filter(|(_, apart)| *apart).map(|(u, _)| u);
         apart.filter(move |u| {
             let get = |du: usize, row: usize| rows[row].at((u + du).saturating_sub(1).min(width - 1)).to;
-            let row = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(m, n)));
-            let column = |n: usize| goes_on([0, 1, 2, 3].map(|m| get(n, m)));
+            let row = |n: usize| goes_on(get(0, n), get(1, n), get(2, n), get(3, n));
+            let column = |n: usize| goes_on(get(n, 0), get(n, 1), get(n, 2), get(n, 3));
             !(row(1) && row(2) && column(1) && column(2))
         })
     }
@@ -175,10 +171,49 @@ impl Kernel for Ends<'_, '_> {
 
     #[inline(always)]
     fn run(self) {
+        self.fill::<Portable>();
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) {
+        self.fill::<Avx2>();
+    }
+}
+
+impl Ends<'_, '_> {
+    #[inline(always)]
+    fn fill<W: Wide>(self) {
         let Self { inverse, v, first, to } = self;
         for (n, to) in to.chunks_mut(LANES).enumerate() {
-            to.copy_from_slice(&inverse.ends(first + n * LANES, v)[..to.len()]);
+            to.copy_from_slice(&inverse.ends::<W>(first + n * LANES, v)[..to.len()]);
         }
+    }
+}
+
+/// The job: for every pixel of two scanlines but the last ones, whether ends of that, the next and of the two below are more than `least` apart.
+struct Apart {
+    rows: [Vec<f32>; 2],
+    least: f32,
+}
+
+impl Kernel for Apart {
+    type Output = Vec<bool>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<bool> {
+        let [upper, lower] = &self.rows;
+        let mut apart = vec![false; upper.len().min(lower.len()).saturating_sub(1)];
+        let length = apart.len();
+        if length == 0 {
+            return apart;
+        }
+        let (a, b, c, d) = (&upper[..length], &upper[1..][..length], &lower[..length], &lower[1..][..length]);
+        for n in 0..length {
+            let (low, high) = (least(least(a[n], b[n]), least(c[n], d[n])), most(most(a[n], b[n]), most(c[n], d[n])));
+            apart[n] = high - low > self.least;
+        }
+        apart
     }
 }
 
@@ -226,8 +261,10 @@ impl AlongRays {
             }
             Rays::Perspective { corner, dx, dy, .. } => {
                 for lane in 0..LANES {
-                    let ray = corner + dx * x[lane] + dy * y[lane];
-                    index[lane] = self.other + index[lane] * (f64::from(distances[lane]) / ray.length());
+                    let along = |axis: usize| corner[axis] + dx[axis] * x[lane] + dy[axis] * y[lane];
+                    let ray = [along(0), along(1), along(2)];
+                    let length = (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]).sqrt();
+                    index[lane] = self.other + index[lane] * (f64::from(distances[lane]) / length);
                 }
             }
         }

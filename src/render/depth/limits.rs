@@ -8,9 +8,9 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use crate::render::factorization::Meeting;
-
-/// Pixels of a word of masks.
-const WORD: usize = 64;
+use crate::simd::masks::{Masks, WORD};
+use crate::simd::wide::{LANES, least, most};
+use crate::simd::{self, Kernel};
 
 /// Scanlines of which it is told together what is seen: as many as a band has, which asks for all of its own.
 const GROUP: usize = 16;
@@ -65,9 +65,6 @@ pub struct Hole {
 struct Word {
     /// The least and the greatest of each end of their stretches.
     bounds: [Stretch; 2],
-    /// The least and the greatest end of every eight.
-    least_to: [f32; WORD / EIGHT],
-    greatest_to: [f32; WORD / EIGHT],
     /// Which of the scanline's holes are theirs, and the stretch that these are within.
     holes: Range<usize>,
     within: Stretch,
@@ -102,6 +99,8 @@ impl SeenScanline {
 
     /// Of what is told for all pixels of some words.
     fn of(elsewhere: Stretch, told: Range<usize>, from: Vec<f32>, to: Vec<f32>, holes: Vec<Hole>) -> Self {
+        let beyond = if elsewhere.is_nothing() { f32::INFINITY } else { elsewhere.to };
+        let [begin, end] = [&from, &to].map(|numbers| simd::dispatch(Bounds { numbers, limit: beyond }));
         let of_word = |u: usize| holes.partition_point(|hole| (hole.u as usize) < u);
         let word = |n: usize| {
             let first = (told.start + n) * WORD;
@@ -110,14 +109,10 @@ impl SeenScanline {
                 from: all.from.min(stretch.from),
                 to: all.to.max(stretch.to),
             });
-            let [least_from, greatest_from] = from.get(n * WORD..(n + 1) * WORD).map_or([elsewhere.from; 2], bounds);
-            let (mut least, mut greatest) = ([0.0; WORD / EIGHT], [0.0; WORD / EIGHT]);
-            for (at, eight) in to[n * WORD..][..WORD].chunks_exact(EIGHT).enumerate() {
-                [least[at], greatest[at]] = bounds(eight);
-            }
-            let ([least_to, _], [_, greatest_to]) = (bounds(&least), bounds(&greatest));
-            let bounds = [Stretch { from: least_from, to: least_to }, Stretch { from: greatest_from, to: greatest_to }];
-            Word { bounds, least_to: least, greatest_to: greatest, holes: theirs, within }
+            let [least, greatest] =
+                begin.get(n).map_or([elsewhere.from; 2], |[least, greatest, _]| [*least, *greatest]);
+            let bounds = [Stretch { from: least, to: end[n][0] }, Stretch { from: greatest, to: end[n][1] }];
+            Word { bounds, holes: theirs, within }
         };
         let words: Vec<_> = (0..told.len()).map(word).collect();
         let (mut begun, mut ends, mut blind) = (f32::NEG_INFINITY, Stretch::NOTHING, elsewhere.is_nothing());
@@ -131,7 +126,6 @@ impl SeenScanline {
             if !holes.is_empty() {
                 whole = Stretch::NOTHING;
             }
-            let beyond = if elsewhere.is_nothing() { f32::INFINITY } else { elsewhere.to };
             let of_word = n * WORD..(n + 1) * WORD;
             if greatest.is_nothing() {
                 // Of some of them nothing is seen.
@@ -148,10 +142,7 @@ impl SeenScanline {
             } else {
                 begun = begun.max(greatest.from);
                 if least.to < beyond {
-                    ends = Stretch {
-                        from: ends.from.min(least.to),
-                        to: ends.to.max(greatest_below(&to[of_word], beyond)),
-                    };
+                    ends = Stretch { from: ends.from.min(least.to), to: ends.to.max(end[n][2]) };
                 }
             }
         }
@@ -165,6 +156,18 @@ impl SeenScanline {
         let at = u.wrapping_sub(self.first_word * WORD);
         let Stretch { from, to } = self.elsewhere;
         Stretch { from: *self.from.get(at).unwrap_or(&from), to: *self.to.get(at).unwrap_or(&to) }
+    }
+
+    /// Where what is seen of some pixels ends.
+    pub(super) fn ends(&self, us: Range<usize>) -> Vec<f32> {
+        let mut ends = vec![self.elsewhere.to; us.len()];
+        let told = self.told();
+        let both = us.start.max(told.start)..us.end.min(told.end);
+        if !both.is_empty() {
+            let own = &self.to[both.start - told.start..both.end - told.start];
+            ends[both.start - us.start..both.end - us.start].copy_from_slice(own);
+        }
+        ends
     }
 
     /// Pixels that have stretches of their own are among these.
@@ -198,7 +201,7 @@ impl Stretch {
 impl Limits {
     /// What scanlines see, so many of them.
     pub fn new(height: usize, scanline: impl Fn(usize) -> SeenScanline + Sync + Send) -> Self {
-        let scanlines: Vec<_> = (0..height).into_par_iter().map(scanline).collect();
+        let scanlines: Vec<_> = (0..height).into_par_iter().with_min_len(GROUP).map(scanline).collect();
         let group = |scanlines: &[SeenScanline]| {
             let both = scanlines.iter().map(|scanline| [scanline.some, scanline.whole]);
             both.reduce(|[some, whole], [other, another]| {
@@ -213,6 +216,13 @@ impl Limits {
     /// True where nothing is seen at all.
     pub fn is_empty(&self) -> bool {
         self.scanlines.iter().all(|scanline| scanline.some == Stretch::NOTHING)
+    }
+
+    /// The words of scanline `v` of which pixels may be told apart ([`Self::seen`]); all there may be, where of others nothing is seen.
+    #[inline(always)]
+    pub fn told_apart(&self, v: usize) -> Range<usize> {
+        let SeenScanline { elsewhere, first_word, words, .. } = &self.scanlines[v];
+        if elsewhere.is_nothing() { 0..usize::MAX } else { *first_word..first_word + words.len() }
     }
 
     /// Of scanline `v`.
@@ -278,12 +288,11 @@ impl Limits {
 
     /// What is seen of the 64 pixels of `word` of scanline `v` between two positions.
     #[inline(always)]
-    pub fn seen(&self, v: usize, word: usize, between: [f32; 2]) -> Seen {
+    pub fn seen<W: Masks>(&self, v: usize, word: usize, between: [f32; 2]) -> Seen {
         let scanline = &self.scanlines[v];
         let at = word.wrapping_sub(scanline.first_word);
         let every = |is: bool| if is { u64::MAX } else { 0 };
-        let Some(Word { bounds: [least, greatest], least_to, greatest_to, holes, within }) = scanline.words.get(at)
-        else {
+        let Some(Word { bounds: [least, greatest], holes, within }) = scanline.words.get(at) else {
             let elsewhere = scanline.elsewhere;
             let ended = every(elsewhere.to <= between[0]);
             return Seen { ended, some: every(elsewhere.meets(between)), whole: every(elsewhere.holds(between)) };
@@ -292,20 +301,11 @@ impl Limits {
         if greatest.to <= first {
             return Seen { ended: u64::MAX, some: 0, whole: 0 };
         }
-        // `Stretch::meets` and `Stretch::holds`, where the bounds of eight neighbours do not tell.
+        // As `Stretch::meets` and `Stretch::holds`.
         let (mut ended, mut whole) = (0, u64::MAX);
-        if least.to < last {
-            let any_end = below(least_to, last);
-            let all_ended = EIGHTS & !above(greatest_to, first);
-            (ended, whole) = (spread(all_ended), !spread(any_end));
-            let mut mixed = any_end & !all_ended;
-            while mixed != 0 {
-                let n = mixed.trailing_zeros() as usize;
-                mixed &= mixed - 1;
-                let to = &scanline.to[at * WORD + n * EIGHT..][..EIGHT];
-                ended |= (EIGHTS & !above(to, first)) << (n * EIGHT);
-                whole |= (EIGHTS & !below(to, last)) << (n * EIGHT);
-            }
+        if let (true, Some(to)) = (least.to < last, scanline.to[at * WORD..].first_chunk()) {
+            let [until_first, below_last] = W::numbers(to, first, last);
+            (ended, whole) = (until_first, !below_last);
         }
         let mut some = !ended;
         if greatest.from > first {
@@ -330,33 +330,6 @@ impl Limits {
     }
 }
 
-/// Neighbours whose ends are bounded together, and a bit for each.
-const EIGHT: usize = 8;
-const EIGHTS: u64 = 0xff;
-
-/// Which of eight numbers are below another.
-#[inline(always)]
-fn below(eight: &[f32], number: f32) -> u64 {
-    let [a, b] = [0, 4].map(|n| Vec4::from_slice(&eight[n..n + 4]).cmplt(Vec4::splat(number)).bitmask());
-    u64::from(a | b << 4)
-}
-
-/// Which of eight numbers are above another.
-#[inline(always)]
-fn above(eight: &[f32], number: f32) -> u64 {
-    let [a, b] = [0, 4].map(|n| Vec4::from_slice(&eight[n..n + 4]).cmpgt(Vec4::splat(number)).bitmask());
-    u64::from(a | b << 4)
-}
-
-/// All bits of a byte for each of eight.
-#[inline(always)]
-fn spread(bits: u64) -> u64 {
-    // Bit n of each byte n, then of those that are not zero the lowest one.
-    let apart = bits.wrapping_mul(0x0101_0101_0101_0101) & 0x8040_2010_0804_0201;
-    let set = ((apart + 0x7f7f_7f7f_7f7f_7f7f) | apart) >> 7 & 0x0101_0101_0101_0101;
-    set * 0xff
-}
-
 /// Which of 64 pixels see what between two positions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Seen {
@@ -377,36 +350,43 @@ fn words_of(pixels: &Range<usize>) -> (Range<usize>, Range<usize>) {
     (first..pixels.end.div_ceil(WORD), pixels.start - first * WORD..pixels.end - first * WORD)
 }
 
-/// The least and the greatest of some numbers.
+/// The least and the greatest of some numbers, and the greatest of those that are less than `limit`.
 #[inline(always)]
-pub(super) fn bounds(numbers: &[f32]) -> [f32; 2] {
+fn bounds_of(numbers: &[f32; WORD], limit: f32) -> [f32; 3] {
     // Side by side, as registers have room.
-    const LANES: usize = 8;
-    let (mut least, mut greatest) = ([numbers[0]; LANES], [numbers[0]; LANES]);
+    let (mut lowest, mut highest, mut below) = ([numbers[0]; LANES], [numbers[0]; LANES], [f32::NEG_INFINITY; LANES]);
     let mut add = |lane: usize, number: f32| {
-        least[lane] = if number < least[lane] { number } else { least[lane] };
-        greatest[lane] = if number > greatest[lane] { number } else { greatest[lane] };
+        lowest[lane] = least(number, lowest[lane]);
+        highest[lane] = most(number, highest[lane]);
+        below[lane] = if (number > below[lane]) & (number < limit) { number } else { below[lane] };
     };
-    let (chunks, rest) = numbers.as_chunks::<LANES>();
-    for chunk in chunks {
-        (0..LANES).for_each(|lane| add(lane, chunk[lane]));
-    }
-    rest.iter().for_each(|&number| add(0, number));
-    [least.into_iter().fold(numbers[0], f32::min), greatest.into_iter().fold(numbers[0], f32::max)]
-}
-
-/// The greatest of some numbers that are less than `bound`.
-fn greatest_below(numbers: &[f32], bound: f32) -> f32 {
-    const LANES: usize = 8;
-    let mut greatest = [f32::NEG_INFINITY; LANES];
-    let (chunks, rest) = numbers.as_chunks::<LANES>();
-    debug_assert!(rest.is_empty(), "words are whole");
-    for chunk in chunks {
-        for (greatest, &number) in greatest.iter_mut().zip(chunk) {
-            *greatest = if (number > *greatest) & (number < bound) { number } else { *greatest };
+    for chunk in numbers.as_chunks::<LANES>().0 {
+        for (lane, &number) in chunk.iter().enumerate() {
+            add(lane, number);
         }
     }
-    greatest.into_iter().fold(f32::NEG_INFINITY, f32::max)
+    let greatest = |lanes: [f32; LANES]| lanes.into_iter().fold(f32::NEG_INFINITY, f32::max);
+    [lowest.into_iter().fold(f32::INFINITY, f32::min), greatest(highest), greatest(below)]
+}
+
+/// The job: of each word of numbers the least, the greatest, and the greatest of those that are less than `limit`.
+struct Bounds<'a> {
+    numbers: &'a [f32],
+    limit: f32,
+}
+
+impl Kernel for Bounds<'_> {
+    type Output = Vec<[f32; 3]>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let (words, _) = self.numbers.as_chunks::<WORD>();
+        let mut bounds = Vec::with_capacity(words.len());
+        for word in words {
+            bounds.push(bounds_of(word, self.limit));
+        }
+        bounds
+    }
 }
 
 #[cfg(test)]
@@ -414,6 +394,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::simd::wide::Portable;
 
     /// What ends at a place, begins there, or does not at all, and holes.
     fn scanline() -> impl Strategy<Value = (bool, usize, Vec<(u8, u8, u8)>)> {
@@ -430,14 +411,6 @@ mod tests {
     }
 
     const BEYOND: f32 = 12.0;
-
-    #[test]
-    fn bits_become_bytes() {
-        for bits in 0..=EIGHTS {
-            let bytes = (0..8).filter(|n| bits >> n & 1 == 1).fold(0, |all, n| all | 0xff << (8 * n));
-            assert_eq!(spread(bits), bytes, "{bits:b}");
-        }
-    }
 
     proptest! {
         /// As a walk does it: rays that have ended are put away, and where no others are told apart, all of them are whole.
@@ -487,12 +460,12 @@ mod tests {
                 for (v, open) in open.iter_mut().enumerate() {
                     let met = limits.meets(v..v + 1, between);
                     if limits.end_between(v, known[v], between[0]) {
-                        (0..4).for_each(|word| open[word] &= !limits.seen(v, word, between).ended);
+                        (0..4).for_each(|word| open[word] &= !limits.seen::<Portable>(v, word, between).ended);
                     }
                     known[v] = Some(between[0]);
                     let apart = limits.tells_apart(v, between);
                     for u in 0..4 * WORD {
-                        let Seen { some, whole, .. } = limits.seen(v, u / WORD, between);
+                        let Seen { some, whole, .. } = limits.seen::<Portable>(v, u / WORD, between);
                         let [some, whole] = if apart { [some, whole] } else { [u64::MAX; 2] };
                         let [is_open, some, whole] =
                             [open[u / WORD], some, whole].map(|bits| bits >> (u % WORD) & 1 == 1);

@@ -1,0 +1,123 @@
+//! Where a surface goes on between a depth buffer's pixels, and where it is torn.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::BAND_HEIGHT;
+use crate::simd::{self, Kernel};
+
+/// A step between two pixels that is so many times as large as the larger of the two beside it is a tear.
+const TEAR: f32 = 2.0;
+
+/// Shorter steps, mm, are none: rounding of depth buffers.
+const FLAT: f32 = 1e-3;
+
+/// By pixel of rows of `width`, whether a surface goes on between it and its neighbours to the right and below; beyond those of `xs` and
+/// `ys`, where some are met at all, it is nowhere.
+pub fn smooth(distances: &[f32], width: usize, [xs, ys]: [Range<usize>; 2]) -> Vec<bool> {
+    let mut smooth = vec![false; distances.len()];
+    let told = &mut smooth[ys.start * width..ys.end * width];
+    told.par_chunks_mut(width * BAND_HEIGHT).enumerate().for_each(|(band, smooth)| {
+        let first = ys.start + band * BAND_HEIGHT;
+        simd::dispatch(Smooth { distances, width, xs: xs.clone(), first, smooth });
+    });
+    smooth
+}
+
+/// The job: where surfaces go on at the pixels `xs` of rows from `first` on.
+struct Smooth<'a> {
+    distances: &'a [f32],
+    width: usize,
+    xs: Range<usize>,
+    first: usize,
+    smooth: &'a mut [bool],
+}
+
+impl Kernel for Smooth<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { distances, width, xs: Range { start, end }, first, smooth } = self;
+        let last = distances.len() / width - 1;
+        // What is at `xs`, before it and twice behind it; beyond the picture it is as on its border.
+        let row = |y: usize| {
+            let row = &distances[y.min(last) * width..][..width];
+            let mut padded = Vec::with_capacity(end - start + 3);
+            padded.push(row[start.saturating_sub(1)]);
+            padded.extend_from_slice(&row[start..end]);
+            padded.extend([end, end + 1].map(|x| row[x.min(width - 1)]));
+            padded
+        };
+        let along = |row: &[f32], on: &mut [bool]| go_on([row, &row[1..], &row[2..], &row[3..]], on);
+        let mut rows = [first.saturating_sub(1), first, first + 1].map(row);
+        let (mut upper, mut lower) = (vec![false; end - start], vec![false; end - start]);
+        let mut across = vec![false; end - start + 1];
+        along(&rows[1], &mut lower);
+        for (n, smooth) in smooth.chunks_exact_mut(width).enumerate() {
+            let after = row(first + n + 2);
+            std::mem::swap(&mut upper, &mut lower);
+            along(&rows[2], &mut lower);
+            go_on([&rows[0][1..], &rows[1][1..], &rows[2][1..], &after[1..]], &mut across);
+            let [across, next] = [&across[..end - start], &across[1..]];
+            for (x, smooth) in smooth[start..end].iter_mut().enumerate() {
+                *smooth = upper[x] & lower[x] & across[x] & next[x];
+            }
+            rows.rotate_left(1);
+            rows[2] = after;
+        }
+    }
+}
+
+/// Whether a surface goes on between the middle two of four neighbours, for as many as are asked.
+#[inline(always)]
+fn go_on([before, a, b, after]: [&[f32]; 4], on: &mut [bool]) {
+    let length = on.len();
+    let (before, a, b, after) = (&before[..length], &a[..length], &b[..length], &after[..length]);
+    for n in 0..length {
+        on[n] = goes_on(before[n], a[n], b[n], after[n]);
+    }
+}
+
+/// Whether a surface goes on between the middle two of four neighbours.
+#[inline(always)]
+pub fn goes_on(before: f32, a: f32, b: f32, after: f32) -> bool {
+    let (before, step, after) = ((a - before).abs(), (b - a).abs(), (after - b).abs());
+    let beside = if before > after { before } else { after };
+    (step <= TEAR * beside + FLAT) & a.is_finite() & b.is_finite()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn surfaces_go_on_where_four_neighbours_along_all_sides_say_so(
+            width in 1usize..7,
+            steps in prop::collection::vec((0..4, -2.0f32..3.0), 1..40),
+        ) {
+            let mut distance = 10.0;
+            let mut distances: Vec<_> = steps.iter().map(|&(kind, step)| {
+                distance += if kind == 1 { 20.0 * step } else { step };
+                if kind == 0 { f32::INFINITY } else { distance }
+            }).collect();
+            distances.resize(steps.len().next_multiple_of(width), distance);
+            let height = distances.len() / width;
+            let at = |x: isize, y: isize| {
+                distances[y.clamp(0, height as isize - 1) as usize * width + x.clamp(0, width as isize - 1) as usize]
+            };
+            let told = smooth(&distances, width, [0..width, 0..height]);
+            for (pixel, told) in told.into_iter().enumerate() {
+                let (x, y) = ((pixel % width) as isize, (pixel / width) as isize);
+                let row = |y: isize| goes_on(at(x - 1, y), at(x, y), at(x + 1, y), at(x + 2, y));
+                let column = |x: isize| goes_on(at(x, y - 1), at(x, y), at(x, y + 1), at(x, y + 2));
+                let expected = row(y) && row(y + 1) && column(x) && column((x + 1).min(width as isize - 1));
+                prop_assert_eq!(told, expected, "pixel {} of {:?}", pixel, distances);
+            }
+        }
+    }
+}

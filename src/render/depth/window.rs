@@ -1,0 +1,116 @@
+//! Distances of a depth buffer in window space.
+
+use glam::{DMat4, DVec3, DVec4};
+
+use crate::render::view::{Rays, View};
+use crate::simd::Kernel;
+use crate::simd::wide::{LANES, Lanes};
+
+/// Values that are no window depths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected values from 0 to 1, got {0} others")]
+pub struct NoWindowDepths(pub usize);
+
+/// How far along its ray what lies in window space is: the fraction of two sums, times the length of the ray to where it is 1.
+///
+/// In perspective depth is counted along the view's forward direction, of which all rays to the plane of the pixels are as long a part.
+pub struct Ahead {
+    rays: Rays,
+    /// Of pixel coordinates, a window depth and 1.
+    depth: DVec4,
+    weight: DVec4,
+    /// Of a millimetre of depth, of the vectors that rays are told by.
+    scale: f64,
+}
+
+impl Ahead {
+    /// For the `view` that these matrices make.
+    pub fn new(view: &View, projection: &DMat4, camera: &DMat4) -> Self {
+        let (width, height) = view.size();
+        let clip_from_window = DMat4::from_translation(DVec3::new(-1.0, 1.0, -1.0))
+            * DMat4::from_scale(DVec3::new(2.0 / f64::from(width), -2.0 / f64::from(height), 2.0));
+        let world_from_window = (*projection * *camera).inverse() * clip_from_window;
+        let weight = world_from_window.row(3);
+        let along = |direction: DVec3| world_from_window.transpose() * direction.extend(0.0);
+        let rays = *view.rays();
+        match rays {
+            Rays::Parallel { corner, dx, dy, direction } => {
+                let origin = DVec4::new(dx.dot(direction), dy.dot(direction), 0.0, corner.dot(direction));
+                Self { rays, depth: along(direction) - origin * weight.w, weight, scale: 1.0 }
+            }
+            Rays::Perspective { eye, corner, .. } => {
+                let forward = view.forward();
+                let depth = along(forward) - weight * eye.dot(forward);
+                Self { rays, depth, weight, scale: 1.0 / corner.dot(forward) }
+            }
+        }
+    }
+
+    /// Of eight window depths in row `y` from pixel `x` on; infinite where they are 1.
+    #[inline(always)]
+    fn distances(&self, [x, y]: [usize; 2], depths: &Lanes) -> Lanes {
+        let (x, y) = (x as f64 + 0.5, y as f64 + 0.5);
+        let (mut ahead, mut weight, mut length) = ([0.0; LANES], [0.0; LANES], [self.scale; LANES]);
+        let of_row = |sum: &DVec4| sum.x * x + sum.y * y + sum.w;
+        let (ahead_first, weight_first) = (of_row(&self.depth), of_row(&self.weight));
+        for lane in 0..LANES {
+            let (step, depth) = (lane as f64, f64::from(depths[lane]));
+            ahead[lane] = ahead_first + self.depth.x * step + self.depth.z * depth;
+            weight[lane] = weight_first + self.weight.x * step + self.weight.z * depth;
+        }
+        if let Rays::Perspective { corner, dx, dy, .. } = &self.rays {
+            let first = *corner + *dx * x + *dy * y;
+            for (lane, length) in length.iter_mut().enumerate() {
+                let step = lane as f64;
+                let ray = [first.x + dx.x * step, first.y + dx.y * step, first.z + dx.z * step];
+                *length *= (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]).sqrt();
+            }
+        }
+        let mut distances = [0.0; LANES];
+        for lane in 0..LANES {
+            let distance = (length[lane] * ahead[lane] / weight[lane]) as f32;
+            distances[lane] = if depths[lane] < 1.0 { distance } else { f32::INFINITY };
+        }
+        distances
+    }
+}
+
+/// The job: distances of rows of values of window depth, from row `first` on; gives how many are none.
+pub struct Distances<'a> {
+    pub ahead: &'a Ahead,
+    pub width: usize,
+    pub first: usize,
+    pub values: &'a [f32],
+    pub distances: &'a mut [f32],
+}
+
+impl Kernel for Distances<'_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn run(self) -> usize {
+        let Self { ahead, width, first, values, distances } = self;
+        let mut others = [0; LANES];
+        let rows = values.chunks_exact(width).zip(distances.chunks_exact_mut(width));
+        for (y, (values, distances)) in (first..).zip(rows) {
+            for (n, (values, distances)) in values.chunks(LANES).zip(distances.chunks_mut(LANES)).enumerate() {
+                let mut depths = [1.0; LANES];
+                depths[..values.len()].copy_from_slice(values);
+                let mut any = false;
+                for depth in depths {
+                    any |= depth != 1.0;
+                }
+                if !any {
+                    distances.fill(f32::INFINITY);
+                    continue;
+                }
+                for lane in 0..LANES {
+                    others[lane] += u32::from(!((depths[lane] >= 0.0) & (depths[lane] <= 1.0)));
+                }
+                let eight = ahead.distances([n * LANES, y], &depths);
+                distances.copy_from_slice(&eight[..distances.len()]);
+            }
+        }
+        others.into_iter().sum::<u32>() as usize
+    }
+}
