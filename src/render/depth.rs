@@ -16,6 +16,9 @@ mod surface;
 mod window;
 
 use std::fmt;
+use std::ops::Range;
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::Relaxed;
 
 use glam::{DMat4, DVec2};
 use rayon::prelude::*;
@@ -23,6 +26,7 @@ use xxhash_rust::xxh3::xxh3_128;
 
 use super::awake;
 use super::view::View;
+use crate::simd::masks::WORD;
 use crate::simd::wide::{LANES, Lanes, Wide};
 use crate::simd::{self, Kernel};
 pub use inverse_warp::InverseWarp;
@@ -39,18 +43,21 @@ type Doubles = [f64; LANES];
 /// Rows that are told together.
 const BAND_HEIGHT: usize = 16;
 
+/// Rows in which it is looked together for what is met.
+const LOOKED_AT: usize = 64;
+
 /// Where each pixel's ray meets opaque geometry.
 #[derive(Clone, PartialEq)]
 pub struct SceneDepth {
     width: usize,
     height: usize,
-    /// mm along the rays from their origins, row by row from the top; infinite where they meet nothing.
+    /// Columns and rows of pixels that hold all that rays meet, and one more on each side where there is one; empty where nothing is met.
+    window: [Range<usize>; 2],
+    /// mm along the rays of these pixels from their origins, row by row from the top; infinite where they meet nothing.
     distances: Vec<f32>,
-    /// By pixel, whether a surface goes on between it and its neighbours to the right and below.
+    /// By pixel of these, whether a surface goes on between it and its neighbours to the right and below.
     smooth: Vec<bool>,
-    /// Pixel coordinates that hold all that rays meet: from where to where. None where nothing is met.
-    met: Option<[DVec2; 2]>,
-    /// Of the distances.
+    /// Of the window and its distances.
     hash: u128,
 }
 
@@ -69,9 +76,11 @@ impl SceneDepth {
     pub fn new(view: &View, distances: Vec<f32>) -> Self {
         assert_eq!(distances.len(), pixels(view), "a distance for each pixel");
         let width = view.size().0 as usize;
-        let look = |rows| simd::dispatch(Look { rows, width });
-        let bands: Vec<_> = distances.par_chunks(width * BAND_HEIGHT).map(look).collect();
-        Self::of_bands(width, &bands, distances)
+        let window = window(&distances, width, f32::INFINITY);
+        let within = |row: usize, own: &mut [f32]| own.copy_from_slice(&distances[row * width..][window[0].clone()]);
+        Self::of_window(view, window.clone(), |first, width, own| {
+            (first..).zip(own.chunks_exact_mut(width)).for_each(|(row, own)| within(row, own));
+        })
     }
 
     /// From a depth buffer in WebGL's window space (0 on the near plane, 1 on the far one, where nothing is), for the `view` that
@@ -92,50 +101,64 @@ impl SceneDepth {
         let _frame = awake::Frame::begin();
         let ahead = Ahead::new(view, projection, camera);
         let width = view.size().0 as usize;
-        let mut distances = vec![0.0; values.len()];
-        let bands = distances.par_chunks_mut(width * BAND_HEIGHT).zip(values.par_chunks(width * BAND_HEIGHT));
-        let bands = bands.enumerate().map(|(band, (distances, values))| {
-            let first = band * BAND_HEIGHT;
-            let others = simd::dispatch(Distances { ahead: &ahead, width, first, values, distances });
-            (others, simd::dispatch(Look { rows: distances, width }))
+        let window = window(values, width, 1.0);
+        let others = AtomicUsize::new(0);
+        let depth = Self::of_window(view, window.clone(), |first, _, distances| {
+            let job = Distances { ahead: &ahead, values, width, columns: window[0].clone(), first, distances };
+            others.fetch_add(simd::dispatch(job), Relaxed);
         });
-        let (others, bands): (Vec<usize>, Vec<_>) = bands.unzip();
-        match others.into_iter().sum() {
-            0 => Ok(Self::of_bands(width, &bands, distances)),
+        match others.into_inner() {
+            0 => Ok(depth),
             others => Err(NoWindowDepths(others)),
         }
     }
 
-    /// With what is told of each band of rows.
-    fn of_bands(width: usize, bands: &[Told], distances: Vec<f32>) -> Self {
-        let hashes: Vec<u128> = bands.iter().map(|band| band.hash).collect();
-        let below = bands.iter().enumerate().filter_map(|(band, Told { met, .. })| {
-            let ([low, high], down) = ((*met)?, DVec2::new(0.0, (band * BAND_HEIGHT) as f64));
-            Some([low + down, high + down])
-        });
-        let met = below.reduce(|[low, high], [a, b]| [low.min(a), high.max(b)]);
-        let of_axis = |axis| met.map_or(0..0, |[low, high]: [DVec2; 2]| low[axis] as usize..high[axis] as usize);
-        let smooth = smooth(&distances, width, [0, 1].map(of_axis));
-        let (height, hash) = (distances.len() / width, xxh3_128(bytemuck::cast_slice(&hashes)));
-        Self { width, height, distances, smooth, met, hash }
+    /// What `fill` writes, from a row on, of rows of so many pixels of the window.
+    fn of_window(view: &View, window: [Range<usize>; 2], fill: impl Fn(usize, usize, &mut [f32]) + Sync) -> Self {
+        let [columns, rows] = [window[0].len(), window[1].len()];
+        let mut distances = vec![0.0; columns * rows];
+        let bands = distances.par_chunks_mut((columns * BAND_HEIGHT).max(1)).enumerate();
+        let hashes: Vec<u128> = bands
+            .map(|(band, distances)| {
+                fill(window[1].start + band * BAND_HEIGHT, columns, distances);
+                xxh3_128(bytemuck::cast_slice(distances))
+            })
+            .collect();
+        let smooth = smooth(&distances, columns);
+        let hash = xxh3_128(format!("{window:?} {hashes:x?}").as_bytes());
+        let (width, height) = view.size();
+        Self { width: width as usize, height: height as usize, window, distances, smooth, hash }
     }
 
     /// Those of all pixels, mm, row by row from the top.
-    pub fn distances(&self) -> &[f32] {
-        &self.distances
+    pub fn distances(&self) -> Vec<f32> {
+        let mut all = vec![f32::INFINITY; self.width * self.height];
+        let [columns, rows] = &self.window;
+        for (row, own) in rows.clone().zip(self.distances.chunks_exact(columns.len().max(1))) {
+            all[row * self.width..][columns.clone()].copy_from_slice(own);
+        }
+        all
     }
 
     /// The distance of a pixel, mm.
     #[inline(always)]
     pub fn at(&self, x: usize, y: usize) -> f32 {
-        self.distances[y * self.width + x]
+        let [columns, rows] = &self.window;
+        if columns.contains(&x) && rows.contains(&y) {
+            self.distances[(y - rows.start) * columns.len() + x - columns.start]
+        } else {
+            f32::INFINITY
+        }
     }
 
     /// The distance at pixel coordinates (centres at halves); beyond the picture it is as on its border.
     #[inline(always)]
     fn between(&self, at: DVec2) -> f32 {
-        let ((x, fx), (y, fy)) = (cell(at.x, self.width), cell(at.y, self.height));
-        let pixel = y as usize * self.width + x as usize;
+        if self.distances.is_empty() {
+            return f32::INFINITY;
+        }
+        let [(x, fx), (y, fy)] = [0, 1].map(|axis| cell(at[axis], &self.window[axis]));
+        let pixel = y as usize * self.window[0].len() + x as usize;
         let (right, below) = self.ahead();
         if self.smooth[pixel] {
             let get = |ahead: usize| self.distances[pixel + ahead];
@@ -151,10 +174,11 @@ impl SceneDepth {
     #[inline(always)]
     fn between_all<W: Wide>(&self, x: &Doubles, y: &Doubles) -> Lanes {
         let (mut pixels, mut fx, mut fy) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
-        let width = self.width as u32;
+        let [columns, rows] = &self.window;
+        let width = columns.len() as u32;
         for lane in 0..LANES {
-            let (column, along) = cell(x[lane], self.width);
-            let (row, across) = cell(y[lane], self.height);
+            let (column, along) = cell(x[lane], columns);
+            let (row, across) = cell(y[lane], rows);
             pixels[lane] = whole(row).wrapping_mul(width).wrapping_add(whole(column));
             (fx[lane], fy[lane]) = (along, across);
         }
@@ -167,7 +191,7 @@ impl SceneDepth {
             }
             return distances;
         }
-        let between = W::bilinear(&self.distances, self.width, &pixels, [&fx, &fy]);
+        let between = W::bilinear(&self.distances, columns.len(), &pixels, [&fx, &fy]);
         let mut smooth = [false; LANES];
         for lane in 0..LANES {
             smooth[lane] = self.smooth[pixels[lane] as usize];
@@ -186,16 +210,17 @@ impl SceneDepth {
     /// From a pixel to those to the right and below that there are.
     #[inline(always)]
     fn ahead(&self) -> (usize, usize) {
-        (usize::from(self.width > 1), if self.height > 1 { self.width } else { 0 })
+        let [columns, rows] = &self.window;
+        (usize::from(columns.len() > 1), if rows.len() > 1 { columns.len() } else { 0 })
     }
 }
 
-/// The first of two pixels' centres around a coordinate along an axis of a picture, and how far from it to the next; of two cells that
-/// meet there, either.
+/// Of some `pixels` along an axis of a picture, the first of two centres around a coordinate, and how far from it to the next; of two cells
+/// that meet there, either.
 #[inline(always)]
-fn cell(at: f64, size: usize) -> (f64, f32) {
-    let last = (size - 1) as f64;
-    let at = at - 0.5;
+fn cell(at: f64, pixels: &Range<usize>) -> (f64, f32) {
+    let last = (pixels.len() - 1) as f64;
+    let at = at - (pixels.start as f64 + 0.5);
     let at = if at > last { last } else { at };
     let at = if at > 0.0 { at } else { 0.0 };
     let middle = if at > 0.5 { at - 0.5 } else { 0.0 };
@@ -211,53 +236,57 @@ fn whole(number: f64) -> u32 {
     (number + INTEGER).to_bits() as u32
 }
 
-/// The job: what is told of rows of `width` distances.
-struct Look<'a> {
+/// Columns and rows that hold all numbers but `nothing`, and one more on each side where there is one.
+fn window(numbers: &[f32], width: usize, nothing: f32) -> [Range<usize>; 2] {
+    let met = |rows| simd::dispatch(Met { rows, width, nothing });
+    let bands = numbers.par_chunks(width * LOOKED_AT).map(met).collect::<Vec<_>>().into_iter();
+    let met = bands.enumerate().filter_map(|(band, met)| {
+        let ([columns, rows], above) = (met?, band * LOOKED_AT);
+        Some([columns, rows.start + above..rows.end + above])
+    });
+    let around = |pixels: Range<usize>, size: usize| pixels.start.saturating_sub(1)..(pixels.end + 1).min(size);
+    let [columns, rows] = met.reduce(both).unwrap_or_default();
+    if columns.is_empty() { [0..0, 0..0] } else { [around(columns, width), around(rows, numbers.len() / width)] }
+}
+
+/// Columns and rows that hold those of two windows.
+fn both([columns, rows]: [Range<usize>; 2], [others, below]: [Range<usize>; 2]) -> [Range<usize>; 2] {
+    let hull = |a: Range<usize>, b: Range<usize>| a.start.min(b.start)..a.end.max(b.end);
+    [hull(columns, others), hull(rows, below)]
+}
+
+/// The job: columns and rows that hold all numbers but `nothing` in rows of `width`, if there are any.
+struct Met<'a> {
     rows: &'a [f32],
     width: usize,
+    nothing: f32,
 }
 
-/// What is told of some rows.
-struct Told {
-    hash: u128,
-    /// Pixel coordinates, from the first of the rows on, that hold all that is finite.
-    met: Option<[DVec2; 2]>,
-}
-
-impl Kernel for Look<'_> {
-    type Output = Told;
+impl Kernel for Met<'_> {
+    type Output = Option<[Range<usize>; 2]>;
 
     #[inline(always)]
-    fn run(self) -> Told {
-        let mut met: Option<[DVec2; 2]> = None;
+    fn run(self) -> Self::Output {
+        let mut met: Option<[Range<usize>; 2]> = None;
+        let any = |numbers: &[f32]| {
+            let mut any = false;
+            for &number in numbers {
+                any |= number != self.nothing;
+            }
+            any
+        };
         for (y, row) in self.rows.chunks_exact(self.width).enumerate() {
-            let (eights, rest) = row.as_chunks::<LANES>();
-            let before = eights.iter().position(|eight| any_finite(eight)).unwrap_or(eights.len()) * LANES;
-            let Some(first) = row[before..].iter().position(|distance| distance.is_finite()) else { continue };
-            let first = before + first;
-            let within = if any_finite(rest) {
-                row.len()
-            } else {
-                eights.iter().rposition(|eight| any_finite(eight)).map_or(0, |n| (n + 1) * LANES)
-            };
-            let end = row[..within].iter().rposition(|distance| distance.is_finite()).map_or(first, |last| last) + 1;
-            let [low, high] = [(first, y), (end, y + 1)].map(|(x, y)| DVec2::new(x as f64, y as f64));
-            met = Some(met.map_or([low, high], |[a, b]| [low.min(a), high.max(b)]));
+            // By words, then within the first and the last.
+            let Some(first) = row.chunks(WORD).position(any) else { continue };
+            let last = row.chunks(WORD).rposition(any).unwrap_or(first);
+            let is_met = |number: &f32| *number != self.nothing;
+            let start = row[first * WORD..].iter().position(is_met).map_or(first * WORD, |n| first * WORD + n);
+            let end = row[..row.len().min((last + 1) * WORD)].iter().rposition(is_met).map_or(start, |n| n + 1);
+            let of_row = [start..end, y..y + 1];
+            met = Some(met.map_or(of_row.clone(), |met| both(met, of_row)));
         }
-        // Where all is infinite there is nothing else to tell.
-        let hash = if met.is_some() { xxh3_128(bytemuck::cast_slice(self.rows)) } else { 0 };
-        Told { hash, met }
+        met
     }
-}
-
-/// Whether any number is finite.
-#[inline(always)]
-fn any_finite(numbers: &[f32]) -> bool {
-    let mut any = false;
-    for number in numbers {
-        any |= number.is_finite();
-    }
-    any
 }
 
 fn pixels(view: &View) -> usize {
@@ -331,11 +360,12 @@ mod tests {
                 let expected = if value < 1.0 { 20.0 + n as f32 / 10.0 } else { f32::INFINITY };
                 assert!((distance - expected).abs() < 1e-3 || *distance == expected, "{distance} and {expected}");
             }
-            assert_eq!(depth.met, Some([DVec2::new(9.0, 0.0), DVec2::new(19.0, 6.0)]));
+            assert_eq!(depth.window, [8..19, 0..6]);
         }
         let projection = perspective(0.5, 8.0 / 6.0, 1.0, 100.0);
         let empty = SceneDepth::from_window(&[1.0; 48], &view(), &projection, &camera).unwrap();
-        assert_eq!((empty.at(3, 3), empty.met), (f32::INFINITY, None));
+        assert_eq!((empty.at(3, 3), empty.between(DVec2::new(3.0, 2.0))), (f32::INFINITY, f32::INFINITY));
+        assert!(empty.window.iter().all(Range::is_empty));
         let mut values = [0.5; 48];
         (values[7], values[20], values[47]) = (-0.1, f32::NAN, 1.5);
         let refused = SceneDepth::from_window(&values, &view(), &projection, &camera);

@@ -80,7 +80,7 @@ pub fn draw(
     let channels = settings.background.channels();
     let ground = settings.background.behind().to_array().map(|component| (component * 255.0).round() as u8);
     let mut distances = match view.depth() {
-        Some(scene) => scene.distances().to_vec(),
+        Some(scene) => scene.distances(),
         None => vec![f32::INFINITY; size[0] * size[1]],
     };
     let mut pixels = ground[..channels].repeat(size[0] * size[1]);

@@ -52,11 +52,16 @@ impl<'a> InverseWarp<'a> {
 
     /// The pixels of scanline `v` that may meet something.
     fn met_by(&self, v: usize) -> Range<usize> {
-        let Some([mut low, mut high]) = self.depth.met else { return 0..0 };
-        // What touches the picture's border goes on beyond it; and a pixel around is not told apart.
+        let window = &self.depth.window;
+        if window.iter().any(Range::is_empty) {
+            return 0..0;
+        }
+        let (mut low, mut high) = (DVec2::ZERO, DVec2::ZERO);
+        // What touches the picture's border goes on beyond it.
         for axis in 0..2 {
-            low[axis] = if low[axis] > 0.0 { low[axis] - 1.0 } else { -BEYOND };
-            high[axis] = if high[axis] < self.size[axis] { high[axis] + 1.0 } else { BEYOND };
+            let Range { start, end } = window[axis];
+            low[axis] = if start > 0 { start as f64 } else { -BEYOND };
+            high[axis] = if (end as f64) < self.size[axis] { end as f64 } else { BEYOND };
         }
         let start = self.image_from_sheared * DVec3::new(0.0, v as f64, 1.0);
         inside([low, high], start, self.image_from_sheared.x_axis, self.factorization.size[0])
@@ -205,10 +210,8 @@ impl Kernel for Apart {
         let [upper, lower] = &self.rows;
         let mut apart = vec![false; upper.len().min(lower.len()).saturating_sub(1)];
         let length = apart.len();
-        if length == 0 {
-            return apart;
-        }
-        let (a, b, c, d) = (&upper[..length], &upper[1..][..length], &lower[..length], &lower[1..][..length]);
+        let [next, beside] = [upper, lower].map(|row| row.get(1..).unwrap_or_default());
+        let (a, b, c, d) = (&upper[..length], &next[..length], &lower[..length], &beside[..length]);
         for n in 0..length {
             let (low, high) = (least(least(a[n], b[n]), least(c[n], d[n])), most(most(a[n], b[n]), most(c[n], d[n])));
             apart[n] = high - low > self.least;

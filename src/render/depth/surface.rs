@@ -1,7 +1,5 @@
 //! Where a surface goes on between a depth buffer's pixels, and where it is torn.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
 use super::BAND_HEIGHT;
@@ -13,23 +11,19 @@ const TEAR: f32 = 2.0;
 /// Shorter steps, mm, are none: rounding of depth buffers.
 const FLAT: f32 = 1e-3;
 
-/// By pixel of rows of `width`, whether a surface goes on between it and its neighbours to the right and below; beyond those of `xs` and
-/// `ys`, where some are met at all, it is nowhere.
-pub fn smooth(distances: &[f32], width: usize, [xs, ys]: [Range<usize>; 2]) -> Vec<bool> {
+/// By pixel of rows of `width`, whether a surface goes on between it and its neighbours to the right and below.
+pub fn smooth(distances: &[f32], width: usize) -> Vec<bool> {
     let mut smooth = vec![false; distances.len()];
-    let told = &mut smooth[ys.start * width..ys.end * width];
-    told.par_chunks_mut(width * BAND_HEIGHT).enumerate().for_each(|(band, smooth)| {
-        let first = ys.start + band * BAND_HEIGHT;
-        simd::dispatch(Smooth { distances, width, xs: xs.clone(), first, smooth });
+    smooth.par_chunks_mut((width * BAND_HEIGHT).max(1)).enumerate().for_each(|(band, smooth)| {
+        simd::dispatch(Smooth { distances, width, first: band * BAND_HEIGHT, smooth });
     });
     smooth
 }
 
-/// The job: where surfaces go on at the pixels `xs` of rows from `first` on.
+/// The job: where surfaces go on in rows from `first` on.
 struct Smooth<'a> {
     distances: &'a [f32],
     width: usize,
-    xs: Range<usize>,
     first: usize,
     smooth: &'a mut [bool],
 }
@@ -39,29 +33,29 @@ impl Kernel for Smooth<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { distances, width, xs: Range { start, end }, first, smooth } = self;
+        let Self { distances, width, first, smooth } = self;
         let last = distances.len() / width - 1;
-        // What is at `xs`, before it and twice behind it; beyond the picture it is as on its border.
+        // With one before it and two behind it; beyond the picture it is as on its border.
         let row = |y: usize| {
             let row = &distances[y.min(last) * width..][..width];
-            let mut padded = Vec::with_capacity(end - start + 3);
-            padded.push(row[start.saturating_sub(1)]);
-            padded.extend_from_slice(&row[start..end]);
-            padded.extend([end, end + 1].map(|x| row[x.min(width - 1)]));
+            let mut padded = Vec::with_capacity(width + 3);
+            padded.push(row[0]);
+            padded.extend_from_slice(row);
+            padded.extend([row[width - 1]; 2]);
             padded
         };
         let along = |row: &[f32], on: &mut [bool]| go_on([row, &row[1..], &row[2..], &row[3..]], on);
         let mut rows = [first.saturating_sub(1), first, first + 1].map(row);
-        let (mut upper, mut lower) = (vec![false; end - start], vec![false; end - start]);
-        let mut across = vec![false; end - start + 1];
+        let (mut upper, mut lower) = (vec![false; width], vec![false; width]);
+        let mut across = vec![false; width + 1];
         along(&rows[1], &mut lower);
         for (n, smooth) in smooth.chunks_exact_mut(width).enumerate() {
             let after = row(first + n + 2);
             std::mem::swap(&mut upper, &mut lower);
             along(&rows[2], &mut lower);
             go_on([&rows[0][1..], &rows[1][1..], &rows[2][1..], &after[1..]], &mut across);
-            let [across, next] = [&across[..end - start], &across[1..]];
-            for (x, smooth) in smooth[start..end].iter_mut().enumerate() {
+            let [across, next] = [&across[..width], &across[1..]];
+            for (x, smooth) in smooth.iter_mut().enumerate() {
                 *smooth = upper[x] & lower[x] & across[x] & next[x];
             }
             rows.rotate_left(1);
@@ -110,7 +104,7 @@ mod tests {
             let at = |x: isize, y: isize| {
                 distances[y.clamp(0, height as isize - 1) as usize * width + x.clamp(0, width as isize - 1) as usize]
             };
-            let told = smooth(&distances, width, [0..width, 0..height]);
+            let told = smooth(&distances, width);
             for (pixel, told) in told.into_iter().enumerate() {
                 let (x, y) = ((pixel % width) as isize, (pixel / width) as isize);
                 let row = |y: isize| goes_on(at(x - 1, y), at(x, y), at(x + 1, y), at(x + 2, y));

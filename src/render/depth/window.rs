@@ -1,5 +1,7 @@
 //! Distances of a depth buffer in window space.
 
+use std::ops::Range;
+
 use glam::{DMat4, DVec3, DVec4};
 
 use crate::render::view::{Rays, View};
@@ -75,12 +77,14 @@ impl Ahead {
     }
 }
 
-/// The job: distances of rows of values of window depth, from row `first` on; gives how many are none.
+/// The job: distances of some `columns` of values of window depth, from row `first` of a picture on; gives how many are none.
 pub struct Distances<'a> {
     pub ahead: &'a Ahead,
-    pub width: usize,
-    pub first: usize,
+    /// Of the whole picture, in rows of `width`.
     pub values: &'a [f32],
+    pub width: usize,
+    pub columns: Range<usize>,
+    pub first: usize,
     pub distances: &'a mut [f32],
 }
 
@@ -89,25 +93,18 @@ impl Kernel for Distances<'_> {
 
     #[inline(always)]
     fn run(self) -> usize {
-        let Self { ahead, width, first, values, distances } = self;
+        let Self { ahead, values, width, columns, first, distances } = self;
         let mut others = [0; LANES];
-        let rows = values.chunks_exact(width).zip(distances.chunks_exact_mut(width));
-        for (y, (values, distances)) in (first..).zip(rows) {
-            for (n, (values, distances)) in values.chunks(LANES).zip(distances.chunks_mut(LANES)).enumerate() {
+        for (y, distances) in (first..).zip(distances.chunks_exact_mut(columns.len())) {
+            let values = &values[y * width..][columns.clone()];
+            let xs = columns.clone().step_by(LANES);
+            for (x, (values, distances)) in xs.zip(values.chunks(LANES).zip(distances.chunks_mut(LANES))) {
                 let mut depths = [1.0; LANES];
                 depths[..values.len()].copy_from_slice(values);
-                let mut any = false;
-                for depth in depths {
-                    any |= depth != 1.0;
-                }
-                if !any {
-                    distances.fill(f32::INFINITY);
-                    continue;
-                }
                 for lane in 0..LANES {
                     others[lane] += u32::from(!((depths[lane] >= 0.0) & (depths[lane] <= 1.0)));
                 }
-                let eight = ahead.distances([n * LANES, y], &depths);
+                let eight = ahead.distances([x, y], &depths);
                 distances.copy_from_slice(&eight[..distances.len()]);
             }
         }
