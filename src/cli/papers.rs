@@ -280,7 +280,12 @@ fn plot(path: &Path, title: &str, curves: &[(String, Vec<(f64, f64)>)], logarith
             }};
         }
         if logarithmic {
-            draw!(builder.build_cartesian_2d((across.0..across.1).log_scale(), (up.0 * 0.8..up.1 * 1.2).log_scale())?);
+            // Ticks where there are points: powers of ten may lie outside.
+            let mut ticks: Vec<_> = points().map(|(x, _)| *x).collect();
+            ticks.sort_by(f64::total_cmp);
+            ticks.dedup();
+            let across = (across.0..across.1).log_scale().with_key_points(ticks);
+            draw!(builder.build_cartesian_2d(across, (up.0 * 0.8..up.1 * 1.2).log_scale())?);
         } else {
             draw!(builder.build_cartesian_2d(across.0..across.1, 0.0..up.1 * 1.1)?);
         }

@@ -15,8 +15,9 @@ pub struct ClippedPixels {
     /// By scanline how far from the front it is known which rays have ended.
     ended: Vec<Option<f32>>,
     clipping: Clipping,
-    /// Where the first of the slices is, from the front.
-    front: f32,
+    /// The slices, and where they are, from the front.
+    slices: [f64; 2],
+    positions: [f32; 2],
     /// True where rays of the scanline end or begin between the slices.
     by_limits: bool,
     /// True where rays of the scanline have ended since that was known.
@@ -44,21 +45,23 @@ impl ClippedPixels {
     pub fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
         let clipping = factorization.clipping(vs, slices);
         self.clipping = clipping.unwrap_or_default();
-        self.front = factorization.position(slices[0]) as f32;
+        self.slices = slices;
+        self.positions = slices.map(|k| factorization.position(k) as f32);
         clipping.is_some()
     }
 
-    /// For scanline `v`, one of those entered.
+    /// For scanline `v`, one of those entered; true where its pixels must be clipped ([`Self::find`]).
     #[inline(always)]
-    pub fn enter_scanline(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2]) {
+    pub fn enter_scanline(&mut self, factorization: &Factorization, v: usize) -> bool {
         (self.by_limits, self.have_ended) = (false, false);
         if let Some(limits) = factorization.limits().filter(|_| self.clipping.by_limits) {
-            self.by_limits = limits.tells_apart(v, slices.map(|k| factorization.position(k) as f32));
-            self.have_ended = limits.end_between(v, self.ended[v - self.first], self.front);
+            self.by_limits = limits.tells_apart(v, self.positions);
+            self.have_ended = limits.end_between(v, self.ended[v - self.first], self.positions[0]);
         }
+        self.is_any()
     }
 
-    /// True where pixels of the scanline must be clipped ([`Self::find`]); else they are as they are.
+    /// True where pixels of the scanline must be clipped; else they are as they are.
     #[inline(always)]
     pub fn is_any(&self) -> bool {
         self.clipping.by_shapes() || self.by_limits || self.have_ended
@@ -67,24 +70,18 @@ impl ClippedPixels {
     /// Clips the pixels of scanline `v`, the one entered, that are set in `open`; false where all of them are left. Nothing is behind those whose
     /// rays have ended: they are not set any more.
     #[inline(always)]
-    pub fn find<W: Masks>(
-        &mut self,
-        factorization: &Factorization,
-        v: usize,
-        slices: [f64; 2],
-        open: &mut [u64],
-    ) -> bool {
+    pub fn find<W: Masks>(&mut self, factorization: &Factorization, v: usize, open: &mut [u64]) -> bool {
         let limits = factorization.limits().filter(|_| self.by_limits || self.have_ended);
-        let positions = slices.map(|k| factorization.position(k) as f32);
+        let positions = self.positions;
         if limits.is_some() {
-            self.ended[v - self.first] = Some(self.front);
+            self.ended[v - self.first] = Some(positions[0]);
         }
         self.open.clear();
         self.open.extend_from_slice(open);
         self.cut.clear();
         self.cut.resize(open.len(), 0);
         let by_shapes = self.clipping.by_shapes();
-        let shapes = if by_shapes { self.shapes(factorization, v, slices) } else { Default::default() };
+        let shapes = if by_shapes { self.shapes(factorization, v) } else { Default::default() };
         // Others are as they are.
         let told = match limits {
             Some(limits) if !by_shapes => limits.told_apart(v),
@@ -122,8 +119,8 @@ impl ClippedPixels {
 
     /// The pixels of scanline `v` of which clip planes and balls leave something, and those of which they leave all; and what holes take.
     #[inline(always)]
-    fn shapes(&mut self, factorization: &Factorization, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
-        let Clipping { by_planes, holes, .. } = self.clipping;
+    fn shapes(&mut self, factorization: &Factorization, v: usize) -> [Range<usize>; 2] {
+        let (Clipping { by_planes, holes, .. }, slices) = (self.clipping, self.slices);
         self.holes.clear();
         factorization.hollow_pixels(v, slices, holes, |pixels| self.holes.push(pixels));
         if by_planes { factorization.clipped_pixels(v, slices) } else { [0..usize::MAX, 0..usize::MAX] }

@@ -58,7 +58,6 @@ struct Place<'a> {
     /// Pixels that lie on the slice.
     us: Range<usize>,
     v: usize,
-    k: usize,
 }
 
 impl VoxelLattice<Vec4> for Scaled {
@@ -125,8 +124,7 @@ impl VoxelLattice<Vec4> for Scaled {
             }
             let row = v - band.first;
             let mut scanline = band.scanline(row);
-            scratch.clipped.enter_scanline(f, v, f.interval(k));
-            let at = Place { factorization: f, along_u, us: us.clone(), v, k };
+            let at = Place { factorization: f, along_u, us: us.clone(), v };
             if !scratch.find::<W>(&at, &mut scanline) {
                 continue;
             }
@@ -193,9 +191,9 @@ impl Scratch {
             }
         }
         let mut any = self.pixels.keep(scanline.non_opaque, &at.us);
-        if any && self.clipped.is_any() {
-            let f = at.factorization;
-            any = !self.clipped.find::<W>(f, at.v, f.interval(at.k), scanline.non_opaque)
+        let f = at.factorization;
+        if any && self.clipped.enter_scanline(f, at.v) {
+            any = !self.clipped.find::<W>(f, at.v, scanline.non_opaque)
                 || self.pixels.keep(self.clipped.open(), &at.us);
         }
         if any {

@@ -281,7 +281,6 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
             let Kept { slab: left_by, is_sampled, sampled, found, ahead } = &mut kept[row];
             let known = std::mem::replace(left_by, slab.number) + 1 == slab.number;
             let any = vs.contains(&v) && {
-                clipped.enter_scanline(f, v, slab.ends);
                 let any = match found.filter(|_| known) {
                     None => self.mark::<W>(slab, v, &scanline, inside, pixels),
                     Some(any) => {
@@ -290,8 +289,8 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
                     }
                 };
                 // And clipping leaves something of them.
-                any && (!clipped.is_any()
-                    || !clipped.find::<W>(f, v, slab.ends, scanline.non_opaque)
+                any && (!clipped.enter_scanline(f, v)
+                    || !clipped.find::<W>(f, v, scanline.non_opaque)
                     || pixels.keep(clipped.open(), &(0..usize::MAX)))
             };
             let next = next.as_ref().filter(|(_, vs)| vs.contains(&v) && have_begun(v));

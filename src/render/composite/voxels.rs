@@ -174,9 +174,6 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
                 self.source.prefetch_place(j, farther);
             }
             let mut scanline = band.scanline_and_more(v - band.first);
-            if CARE {
-                clipped.enter_scanline(f, v, slices);
-            }
             let upper = match below {
                 Some((at, scanline)) if at == j => scanline,
                 _ => self.source.scanline(j, k),
@@ -189,9 +186,8 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
             if !touched.find::<W>(marks.0, marks.1, &Open { words: scanline.non_opaque, ..lies }) {
                 continue;
             }
-            let is_clipped = CARE && clipped.is_any();
-            if is_clipped {
-                let takes = clipped.find::<W>(f, v, slices, scanline.non_opaque);
+            if CARE && clipped.enter_scanline(f, v) {
+                let takes = clipped.find::<W>(f, v, scanline.non_opaque);
                 if takes && !touched.keep(&Open { words: clipped.open(), ..lies }) {
                     continue;
                 }

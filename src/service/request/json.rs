@@ -20,6 +20,19 @@ use super::{InvalidField, RequestError};
 /// Longer details are cut: a client gets told what was wrong, not its own megabyte back.
 const MAX_DETAIL: usize = 300;
 
+/// What serde expects, by Rust's names of it, and what a client would call that.
+const EXPECTED: [(&str, &str); 9] = [
+    ("f64", "a number"),
+    ("f32", "a number"),
+    ("u8", "a whole number from 0 to 255"),
+    ("u16", "a whole number from 0 to 65535"),
+    ("u32", "a whole number from 0 on"),
+    ("u64", "a whole number from 0 on"),
+    ("usize", "a whole number from 0 on"),
+    ("a nonzero u32", "a whole number from 1 on"),
+    ("a nonzero usize", "a whole number from 1 on"),
+];
+
 /// The JSON in `bytes`; the sign of negative zeros is dropped.
 ///
 /// # Errors
@@ -68,6 +81,11 @@ fn malformed(error: &serde_json::Error) -> RequestError {
 
 fn refusal(path: &Path, error: &serde_json::Error) -> InvalidField {
     let mut detail = error.to_string();
+    if let Some((got, expected)) = detail.rsplit_once(", expected ")
+        && let Some((_, expected)) = EXPECTED.iter().find(|(name, _)| *name == expected)
+    {
+        detail = format!("{got}, expected {expected}");
+    }
     if let Some((at, _)) = detail.char_indices().nth(MAX_DETAIL) {
         detail.truncate(at);
         detail.push('…');
@@ -286,6 +304,16 @@ mod tests {
         }
         assert_eq!(parse(b"5.12e2").unwrap(), Value::from(512));
         assert_eq!(parse(b"1.5e300").unwrap(), Value::from(1.5e300));
+    }
+
+    #[test]
+    fn what_is_expected_is_told_in_terms_of_json() {
+        let detail = |value: Value| read::<Vec<f64>>(value).unwrap_err().detail;
+        assert_eq!(detail(serde_json::json!(["up"])), "invalid type: string \"up\", expected a number");
+        let field = read::<std::num::NonZeroU32>(Value::from(0)).unwrap_err();
+        assert_eq!(field.detail, "invalid value: integer `0`, expected a whole number from 1 on");
+        let field = read::<u32>(Value::from(-1)).unwrap_err();
+        assert_eq!(field.detail, "invalid value: integer `-1`, expected a whole number from 0 on");
     }
 
     #[test]
