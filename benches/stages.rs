@@ -9,8 +9,8 @@ use glam::Vec4;
 use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, SlabTables, Slabs};
 use shearwarp::classify::summed_area::SummedAreaTable;
 use shearwarp::classify::{
-    Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction,
-    VisibleVoxels, cells, presets,
+    Classification, CodeTables, Color, ControlPoint, Encodings, Purpose, RunLengthVolume, TransferFunction, Visible,
+    cells, presets,
 };
 use shearwarp::encode::{Format, encode};
 use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Quality, Scene, Settings, View, render};
@@ -39,9 +39,9 @@ fn stages(criterion: &mut Criterion) {
         b.iter(|| SummedAreaTable::new(&tables, &transfer, prepared.octree()));
     });
     criterion.bench_function("visible_voxels", |b| {
-        b.iter(|| VisibleVoxels::new(&prepared, &tables, &occupied));
+        b.iter(|| Visible::new(&prepared, &tables, &occupied));
     });
-    let visible = Arc::new(VisibleVoxels::new(&prepared, &tables, &occupied));
+    let visible = Arc::new(Visible::new(&prepared, &tables, &occupied));
     criterion.bench_function("run_lengths", |b| {
         b.iter(|| RunLengthVolume::encode(&prepared, &tables, &transfer, &visible));
     });

@@ -12,27 +12,29 @@
 
 use super::marks::{Marks, VisibleCodes};
 pub use super::marks::{WORD, words};
+use super::visible::Visible;
 use crate::volume::PreparedVolume;
 use crate::volume::scanlines::AnyScanlines;
 
 /// Marks the cells between whose corners `visible` (a flag for each code) has a set flag. `occupied` has a flag for each leaf of the
 /// volume's octree: false only where no cell of the leaf is to be marked.
-pub fn mark(prepared: &PreparedVolume, visible: &[bool], occupied: &[bool]) -> Marks {
+pub fn mark(prepared: &PreparedVolume, visible: &[bool], occupied: &[bool]) -> Visible {
     let visible = visible.iter().copied();
-    let (marks, _) = match prepared.scanlines(2) {
+    let (marks, holding) = match prepared.scanlines(2) {
         AnyScanlines::U8(scanlines) => Marks::new::<_, true>(scanlines, &VisibleCodes::new(visible), occupied),
         AnyScanlines::U16(scanlines) => Marks::new::<_, true>(scanlines, &VisibleCodes::new(visible), occupied),
     };
-    marks
+    Visible::holding(marks, &holding)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::classify::visible::AxisVisible;
     use crate::volume::{Scalars, phantom};
 
     /// The flags of leaves that a transfer function with such visible codes leaves, and the runs.
-    fn encoded(prepared: &PreparedVolume, visible: &[bool]) -> Marks {
+    fn encoded(prepared: &PreparedVolume, visible: &[bool]) -> Visible {
         let occupied = prepared.octree().occupied_leaves(|range| {
             let (low, high) = range.code;
             !visible[usize::from(low)..=usize::from(high)].contains(&true)
@@ -58,7 +60,9 @@ mod tests {
                 let strides = [1, dims[0], dims[0] * dims[1]];
                 let strides = scanlines.axes().map(|axis| strides[axis]);
                 for (j, k) in (0..nk - 1).flat_map(|k| (0..nj - 1).map(move |j| (j, k))) {
-                    let marks = runs.for_axis(axis).scanline(j, k);
+                    let AxisVisible { marks, shown } = runs.for_axis(axis);
+                    let marks = marks.scanline(j, k);
+                    assert_eq!(shown.holds(j, k), marks.iter().any(|word| *word != 0), "{j} {k} of {dims:?}, {axis}");
                     for i in 0..words(ni - 1) * WORD {
                         let corners = || {
                             (0..8).map(|corner| {

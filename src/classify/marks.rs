@@ -267,6 +267,12 @@ impl Shown {
         size_of_val(&self.bits[..]) as u64
     }
 
+    /// Whether scanline `j` of slice `k` holds anything.
+    #[inline(always)]
+    pub fn holds(&self, j: usize, k: usize) -> bool {
+        self.bits[k * self.words + j / WORD] >> (j % WORD) & 1 == 1
+    }
+
     /// Which of the scanlines of slice `k` from `j` on hold anything, a bit each, and of 64 at most.
     #[inline(always)]
     pub fn from(&self, j: usize, count: usize, k: usize) -> u64 {

@@ -24,13 +24,12 @@ use std::time::{Duration, Instant};
 
 use crate::volume::PreparedVolume;
 use crate::volume::octree::LEAF;
-use marks::Marks;
 use preintegration::SlabTables;
 pub use rle::RunLengthVolume;
 use summed_area::{SummedAreaTable, octree_for};
 pub use tables::CodeTables;
 pub use transfer::{Color, ControlPoint, GradientPoint, InvalidField, TransferFunction};
-pub use visible::VisibleVoxels;
+pub use visible::Visible;
 
 /// What is classified.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,7 +50,7 @@ pub struct Classification {
     tables: CodeTables,
     slabs: Option<SlabTables>,
     occupied: Vec<bool>,
-    visible: Option<Arc<VisibleVoxels>>,
+    visible: Option<Arc<Visible>>,
     summed_area_table: Duration,
 }
 
@@ -76,7 +75,7 @@ impl Classification {
                 octree.occupied_leaves(|range| summed_area.is_transparent(range))
             }
         };
-        let visible = slabs.is_none().then(|| Arc::new(VisibleVoxels::new(prepared, &tables, &occupied)));
+        let visible = slabs.is_none().then(|| Arc::new(Visible::new(prepared, &tables, &occupied)));
         Self { purpose, tables, slabs, occupied, visible, summed_area_table: start.elapsed() }
     }
 
@@ -109,7 +108,7 @@ impl Classification {
     }
 
     /// Which voxels are visible; `None` where slabs are classified.
-    pub fn visible(&self) -> Option<&VisibleVoxels> {
+    pub fn visible(&self) -> Option<&Visible> {
         self.visible.as_deref()
     }
 
@@ -120,7 +119,7 @@ impl Classification {
 
     /// Bytes in memory.
     pub fn bytes(&self) -> u64 {
-        let visible = self.visible().map_or(0, VisibleVoxels::bytes);
+        let visible = self.visible().map_or(0, Visible::bytes);
         self.tables.bytes() + self.slabs.as_ref().map_or(0, SlabTables::bytes) + self.occupied.len() as u64 + visible
     }
 }
@@ -131,7 +130,7 @@ pub enum Encodings {
     /// For [`Purpose::Voxels`]: runs of non-transparent voxels, and those voxels.
     Voxels(RunLengthVolume),
     /// For [`Purpose::Slabs`]: [`cells`] in which something shows.
-    Cells(Marks),
+    Cells(Visible),
 }
 
 impl Encodings {
@@ -149,7 +148,7 @@ impl Encodings {
     pub fn bytes_at_most(prepared: &PreparedVolume, classification: &Classification) -> u64 {
         let dims = prepared.volume().dims();
         match classification.purpose {
-            Purpose::Slabs { .. } => Marks::bytes_of(dims.map(|n| n - 1)),
+            Purpose::Slabs { .. } => Visible::bytes_of(dims.map(|n| n - 1)),
             Purpose::Voxels { .. } => {
                 let leaves @ [lx, ly, _] = prepared.octree().leaf_dims();
                 // The last leaf along an axis has what is left.
@@ -172,7 +171,7 @@ impl Encodings {
     }
 
     /// The runs of cells, where that is what they are of.
-    pub fn cells(&self) -> Option<&Marks> {
+    pub fn cells(&self) -> Option<&Visible> {
         match self {
             Self::Voxels(_) => None,
             Self::Cells(cells) => Some(cells),

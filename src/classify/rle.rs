@@ -25,10 +25,9 @@ use std::sync::Arc;
 use bytemuck::zeroed_vec;
 
 pub use super::marks::MORE;
-use super::marks::{Marks, Shown};
 use super::tables::CodeTables;
 use super::transfer::TransferFunction;
-use super::visible::{AxisVisible, VisibleVoxels};
+use super::visible::{AxisVisible, Visible};
 use crate::simd::prefetch_at;
 use crate::volume::PreparedVolume;
 
@@ -145,7 +144,7 @@ impl Plane {
 pub struct RunLengthVolume {
     pub(super) dims: [usize; 3],
     /// Those that are stored.
-    pub(super) visible: Arc<VisibleVoxels>,
+    pub(super) visible: Arc<Visible>,
     /// Scanlines along x: a plane for each z with a row for each y.
     pub(super) along_x: Vec<Plane>,
     /// Scanlines along y: a plane for each z with a row for each x.
@@ -193,7 +192,7 @@ impl RunLengthVolume {
         prepared: &PreparedVolume,
         tables: &CodeTables,
         transfer: &TransferFunction,
-        visible: &Arc<VisibleVoxels>,
+        visible: &Arc<Visible>,
     ) -> Self {
         encode::encode(prepared, tables, transfer, visible)
     }
@@ -203,8 +202,7 @@ impl RunLengthVolume {
         // A voxel and its factor take 5 bytes.
         let order =
             |rows: usize| 5 * voxels + (nz * ((rows + 1) * size_of::<u32>() + MORE * size_of::<Voxel>())) as u64;
-        let shown = Shown::bytes_of(nz, nx) + Shown::bytes_of(nz, ny) + Shown::bytes_of(ny, nz);
-        order(ny) + order(nx) + Marks::bytes_of(dims) + shown
+        order(ny) + order(nx) + Visible::bytes_of(dims)
     }
 
     /// The encoding for a principal axis (0: x, 1: y, 2: z).

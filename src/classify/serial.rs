@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::marks::{MORE, Marks, WORD, words};
 use super::rle::{Plane, RunLengthVolume, Voxel};
-use super::visible::VisibleVoxels;
+use super::visible::Visible;
 use crate::volume::Volume;
 use crate::volume::gradient::NO_NORMAL;
 
@@ -43,12 +43,13 @@ pub(super) fn read(volume: &Volume, with_factors: bool, input: &mut impl Read) -
         Ok((marks, planes))
     };
     let ((marks_x, along_x), (marks_y, along_y)) = (order(nx, ny)?, order(ny, nx)?);
-    let visible = Arc::new(VisibleVoxels::of(Marks { dims, along_x: marks_x, along_y: marks_y }));
+    let visible = Arc::new(Visible::of(Marks { dims, along_x: marks_x, along_y: marks_y }));
     Ok(RunLengthVolume { dims, visible, along_x, along_y })
 }
 
 /// Writes the runs of cells.
-pub(super) fn write_cells(cells: &Marks, out: &mut impl Write) -> io::Result<()> {
+pub(super) fn write_cells(cells: &Visible, out: &mut impl Write) -> io::Result<()> {
+    let cells = cells.marks();
     out.write_all(bytemuck::bytes_of(&BYTE_ORDER))?;
     out.write_all(bytemuck::bytes_of(&cells.dims.map(|n| n as u32)))?;
     for order in [&cells.along_x, &cells.along_y] {
@@ -58,7 +59,7 @@ pub(super) fn write_cells(cells: &Marks, out: &mut impl Write) -> io::Result<()>
 }
 
 /// Reads and checks the runs of cells.
-pub(super) fn read_cells(volume: &Volume, input: &mut impl Read) -> io::Result<Marks> {
+pub(super) fn read_cells(volume: &Volume, input: &mut impl Read) -> io::Result<Visible> {
     let dims @ [nx, ny, nz] = volume.dims().map(|n| n - 1);
     expect(read_value::<u32>(input)? == BYTE_ORDER, "another byte order or format")?;
     expect(read_value::<[u32; 3]>(input)? == dims.map(|n| n as u32), "other dimensions")?;
@@ -67,7 +68,7 @@ pub(super) fn read_cells(volume: &Volume, input: &mut impl Read) -> io::Result<M
         marks.extend([0; MORE]);
         Ok(marks)
     };
-    Ok(Marks { dims, along_x: order(nx, ny * nz)?, along_y: order(ny, nx * nz)? })
+    Ok(Visible::of(Marks { dims, along_x: order(nx, ny * nz)?, along_y: order(ny, nx * nz)? }))
 }
 
 /// Reads marks of so many scanlines of a length, and checks that none is past the end of a scanline.

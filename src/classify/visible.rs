@@ -10,23 +10,23 @@ use super::tables::CodeTables;
 use crate::volume::PreparedVolume;
 use crate::volume::scanlines::AnyScanlines;
 
-/// The visible voxels of a volume, for all three principal axes.
+/// The visible voxels of a volume, or its [`cells`](super::cells) in which something shows, for all three principal axes.
 #[derive(Clone, Debug, PartialEq)]
-pub struct VisibleVoxels {
+pub struct Visible {
     marks: Marks,
     /// By principal axis.
     shown: [Shown; 3],
 }
 
-/// The visible voxels as one principal axis walks them.
+/// Those that one principal axis walks.
 #[derive(Clone, Copy, Debug)]
 pub struct AxisVisible<'a> {
     pub marks: AxisMarks<'a>,
     pub shown: &'a Shown,
 }
 
-impl VisibleVoxels {
-    /// Those that `tables` leave, on the current rayon pool. `occupied` has a flag for each leaf of the volume's octree: false only where the
+impl Visible {
+    /// The voxels that `tables` leave, on the current rayon pool. `occupied` has a flag for each leaf of the volume's octree: false only where the
     /// whole leaf is transparent.
     pub fn new(prepared: &PreparedVolume, tables: &CodeTables, occupied: &[bool]) -> Self {
         let visible = tables.extinction.iter().map(|tau| *tau > 0.0);
@@ -44,7 +44,7 @@ impl VisibleVoxels {
     }
 
     /// Those that are marked, and by plane z which scanlines hold any.
-    fn holding(marks: Marks, by_plane: &[Holding]) -> Self {
+    pub(super) fn holding(marks: Marks, by_plane: &[Holding]) -> Self {
         let [nx, ny, nz] = marks.dims;
         let bit = |bits: &[u64], at: usize| bits[at / WORD] >> (at % WORD) & 1 == 1;
         let shown = [
@@ -64,6 +64,22 @@ impl VisibleVoxels {
     /// Those for a principal axis (0: x, 1: y, 2: z).
     pub fn for_axis(&self, axis: usize) -> AxisVisible<'_> {
         AxisVisible { marks: self.marks.for_axis(axis), shown: &self.shown[axis] }
+    }
+
+    /// Share that is marked, 0..=1.
+    pub fn share(&self) -> f64 {
+        self.marks.share()
+    }
+
+    /// What those of so many voxels (or cells) take in memory.
+    pub(super) fn bytes_of(dims @ [nx, ny, nz]: [usize; 3]) -> u64 {
+        let shown = Shown::bytes_of(nz, nx) + Shown::bytes_of(nz, ny) + Shown::bytes_of(ny, nz);
+        Marks::bytes_of(dims) + shown
+    }
+
+    /// All marks.
+    pub(super) fn marks(&self) -> &Marks {
+        &self.marks
     }
 
     /// Marks of the plane at z: by scanlines along x and along y.
@@ -100,7 +116,7 @@ mod tests {
             };
             let classification = Classification::build(&prepared, &transfer, Purpose::Voxels { min_opacity: 0.0 });
             let visible = classification.visible().expect("voxels are classified");
-            assert_eq!(*visible, VisibleVoxels::of(visible.marks.clone()));
+            assert_eq!(*visible, Visible::of(visible.marks.clone()));
             assert!(visible.marks.share() > 0.0, "an empty volume tests nothing");
         }
     }

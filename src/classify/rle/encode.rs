@@ -13,7 +13,7 @@ use super::{Plane, RunLengthVolume, Voxel};
 use crate::classify::marks::{WORD, words};
 use crate::classify::tables::CodeTables;
 use crate::classify::transfer::TransferFunction;
-use crate::classify::visible::VisibleVoxels;
+use crate::classify::visible::Visible;
 use crate::simd::{self, Kernel};
 use crate::volume::PreparedVolume;
 use crate::volume::gradient::{BLOCK, Code, GradientFrame, Gradients, magnitudes, normals};
@@ -26,7 +26,7 @@ pub fn encode(
     prepared: &PreparedVolume,
     tables: &CodeTables,
     transfer: &TransferFunction,
-    visible: &Arc<VisibleVoxels>,
+    visible: &Arc<Visible>,
 ) -> RunLengthVolume {
     let volume = prepared.volume();
     let frame = GradientFrame::new(volume.placement(), volume.rescale().0);
@@ -43,7 +43,7 @@ struct Encoder<'a, T> {
     tables: &'a CodeTables,
     /// Where opacity depends on the gradient.
     transfer: Option<&'a TransferFunction>,
-    visible: &'a Arc<VisibleVoxels>,
+    visible: &'a Arc<Visible>,
 }
 
 impl<'a, T: Code> Encoder<'a, T> {
@@ -52,7 +52,7 @@ impl<'a, T: Code> Encoder<'a, T> {
         frame: &GradientFrame,
         tables: &'a CodeTables,
         transfer: &'a TransferFunction,
-        visible: &'a Arc<VisibleVoxels>,
+        visible: &'a Arc<Visible>,
     ) -> Self {
         Self {
             scanlines,
@@ -311,7 +311,7 @@ mod tests {
         let octree = octree_for(prepared, transfer);
         let summed_area = SummedAreaTable::new(&tables, transfer, octree);
         let occupied = octree.occupied_leaves(|range| summed_area.is_transparent(range));
-        let visible = Arc::new(VisibleVoxels::new(prepared, &tables, &occupied));
+        let visible = Arc::new(Visible::new(prepared, &tables, &occupied));
         let encoding = RunLengthVolume::encode(prepared, &tables, transfer, &visible);
         let mut filled = 0;
         for axis in 0..3 {

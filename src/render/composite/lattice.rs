@@ -121,8 +121,11 @@ impl Lattice for Unit {
             ends.map(|SlicePlacement { first, .. }| (v + 1).saturating_sub(first[1] + 1).min(nj - 2));
         let scanlines = [(j_front, ends[0]), (j_back, ends[1])];
         let next = if factorization.reversed { layer.checked_sub(2) } else { Some(layer + 2).filter(|&l| l + 1 < nk) };
-        if let Some(next) = next {
+        if let Some(next) = next.filter(|&next| occupied.holds(j_back, next)) {
             prefetch_at(occupied.scanline_and_more(j_back, next), 0);
+        }
+        if !occupied.holds(j_front, layer) && !occupied.holds(j_back, layer) {
+            return false;
         }
         let scanlines = scanlines.map(|(j, end)| (occupied.scanline_and_more(j, layer), end.first[0]));
         pixels.set_cells_within::<W>(scanlines, occupied.within(), ni - 1, open, inside)
@@ -187,19 +190,18 @@ impl Lattice for Scaled {
         pixels: &mut Mask,
     ) -> bool {
         let [ni, nj, _] = factorization.dims;
-        let mut any = false;
         let [front, back] = ends.map(|[_, along_v]| along_v.under(&(v..v + 1)));
         let first = front.start.min(back.start).min(nj - 2);
         let end = front.end.max(back.end) - 1;
+        if (first..end.max(first + 1)).all(|j| !occupied.holds(j, layer)) {
+            return false;
+        }
         let [front, back] = ends.map(|[along_u, _]| along_u);
+        pixels.clear();
         for word in 0..(ni - 1).div_ceil(WORD) {
             let mut cells = 0;
             for j in first..end.max(first + 1) {
                 cells |= occupied.scanline(j, layer)[word];
-            }
-            if cells != 0 && !any {
-                any = true;
-                pixels.clear();
             }
             while cells != 0 {
                 let (start, length) = first_run(cells);
@@ -212,7 +214,7 @@ impl Lattice for Scaled {
                 pixels.add(front.start.min(back.start)..front.end.max(back.end));
             }
         }
-        any && pixels.keep_within(open, inside)
+        pixels.keep_within(open, inside)
     }
 
     #[inline(always)]

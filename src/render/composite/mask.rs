@@ -39,19 +39,6 @@ fn raised(words: [u64; CHUNK], before: u64, shift: usize) -> [u64; CHUNK] {
     raised
 }
 
-/// True where a cell of either scanline is marked.
-#[inline(always)]
-fn is_any(scanlines: [(&[u64], usize); 2], within: &[u64]) -> bool {
-    let [front, back] = scanlines.map(|(cells, _)| cells.as_chunks::<CHUNK>().0);
-    let mut any = [0; CHUNK];
-    for ((within, front), back) in within.as_chunks::<CHUNK>().0.iter().zip(front).zip(back) {
-        for n in 0..CHUNK {
-            any[n] |= (front[n] | back[n]) & within[n];
-        }
-    }
-    any[0] | any[1] | any[2] | any[3] != 0
-}
-
 impl Mask {
     /// No pixel of a scanline of `width`.
     pub fn new(width: usize) -> Self {
@@ -68,12 +55,9 @@ impl Mask {
 
     /// Becomes the pixels over marked cells of two scanlines, of either of which there are as many as `within` has bits; cell 0 begins with the pixel
     /// given with it. Pixels beside the first or the last cell go with it: slices are continued by their borders. What follows a scanline does
-    /// not count. False, and as it was, where no cell is marked.
+    /// not count.
     #[inline(always)]
-    pub fn set_cells(&mut self, scanlines: [(&[u64], usize); 2], within: &[u64], count: usize) -> bool {
-        if !is_any(scanlines, within) {
-            return false;
-        }
+    fn set_cells(&mut self, scanlines: [(&[u64], usize); 2], within: &[u64], count: usize) {
         let within = within.as_chunks::<CHUNK>().0;
         self.clear();
         let last = count - 1;
@@ -102,7 +86,6 @@ impl Mask {
                 self.words[BESIDE + (first + count) / WORD] |= 1 << ((first + count) % WORD);
             }
         }
-        true
     }
 
     /// The same where of the pixels those are kept that are set in `open` and in `inside`. False where none is left; what it is then means nothing.
@@ -119,10 +102,8 @@ impl Mask {
         let at = BESIDE + word;
         if word != other {
             // Seldom.
-            return self.set_cells(scanlines, within, count) && self.keep_within(open, inside);
-        }
-        if !is_any(scanlines, within) {
-            return false;
+            self.set_cells(scanlines, within, count);
+            return self.keep_within(open, inside);
         }
         self.clear();
         let is_open = [&open[word..], &inside.words[at..]];
@@ -329,11 +310,11 @@ mod tests {
                 }
                 expected.sort_unstable();
                 expected.dedup();
-                assert!(mask.set_cells(firsts.map(|first| (&cells[..], first)), &within, count));
+                mask.set_cells(firsts.map(|first| (&cells[..], first)), &within, count);
                 assert_eq!(pixels(&mask), expected, "{count} cells from {firsts:?}, {marked} marked");
-                assert!(!mask.set_cells(firsts.map(|first| (&none[..], first)), &within, count));
-                assert_eq!(pixels(&mask), expected);
-                assert!(mask.set_cells([(&none, firsts[0]), (&cells, firsts[1])], &within, count));
+                mask.set_cells(firsts.map(|first| (&none[..], first)), &within, count);
+                assert!(pixels(&mask).is_empty());
+                mask.set_cells([(&none, firsts[0]), (&cells, firsts[1])], &within, count);
                 assert!(pixels(&mask).contains(&(marked + firsts[1])));
                 let mut inside = Mask::new(firsts[0].max(firsts[1]) + count + 2);
                 for open in [u64::MAX, 0x5555_5555_5555_5555] {

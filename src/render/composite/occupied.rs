@@ -5,7 +5,8 @@
 //! words once and adjacent scanlines share them (Lacroute and Levoy 1994, section 3.3).
 
 use super::mask::first_bits;
-use crate::classify::marks::{AxisMarks, MORE, WORD, words};
+use crate::classify::marks::{MORE, WORD, words};
+use crate::classify::visible::AxisVisible;
 use crate::classify::{Classification, Encodings};
 use crate::render::factorization::Factorization;
 use crate::volume::octree::{LEAF, leaf_of, leaves_along};
@@ -21,7 +22,7 @@ pub struct Occupied<'a> {
 /// Where the bits come from.
 #[derive(Clone, Debug)]
 enum Marks<'a> {
-    Cells(AxisMarks<'a>),
+    Cells(AxisVisible<'a>),
     Leaves(LeafRows),
 }
 
@@ -43,7 +44,7 @@ impl<'a> Occupied<'a> {
     #[inline(always)]
     pub fn scanline(&self, j: usize, k: usize) -> &[u64] {
         match &self.marks {
-            Marks::Cells(cells) => cells.scanline(j, k),
+            Marks::Cells(cells) => cells.marks.scanline(j, k),
             Marks::Leaves(leaves) => leaves.scanline(j, k),
         }
     }
@@ -52,8 +53,17 @@ impl<'a> Occupied<'a> {
     #[inline(always)]
     pub fn scanline_and_more(&self, j: usize, k: usize) -> &[u64] {
         match &self.marks {
-            Marks::Cells(cells) => cells.scanline_and_more(j, k),
+            Marks::Cells(cells) => cells.marks.scanline_and_more(j, k),
             Marks::Leaves(leaves) => leaves.scanline_and_more(j, k),
+        }
+    }
+
+    /// Whether one of [`Self::scanline`]'s cells is marked.
+    #[inline(always)]
+    pub fn holds(&self, j: usize, k: usize) -> bool {
+        match &self.marks {
+            Marks::Cells(cells) => cells.shown.holds(j, k),
+            Marks::Leaves(leaves) => leaves.holds(j, k),
         }
     }
 
@@ -69,6 +79,8 @@ impl<'a> Occupied<'a> {
 pub struct LeafRows {
     bits: Vec<u64>,
     words: usize,
+    /// By row of leaves, whether any of them is occupied.
+    holding: Vec<bool>,
     /// Rows of leaves in a slice of leaves.
     rows: usize,
     /// Voxels along j and k.
@@ -82,7 +94,7 @@ impl LeafRows {
         let strides = factorization.strides(factorization.dims.map(leaves_along));
         let (rows, words) = (leaves_along(nj), words(ni));
         let count = rows * leaves_along(nk) * words;
-        let mut bits = vec![0; count + MORE];
+        let (mut bits, mut holding) = (vec![0; count + MORE], vec![]);
         for (row, bits) in bits[..count].chunks_exact_mut(words).enumerate() {
             let first = row % rows * strides[1] + row / rows * strides[2];
             let last = leaves_along(ni) - 1;
@@ -93,8 +105,9 @@ impl LeafRows {
                     bits[(ni - 1) / WORD] |= 1 << ((ni - 1) % WORD);
                 }
             }
+            holding.push(bits.iter().any(|word| *word != 0));
         }
-        Self { bits, words, rows, dims: [nj, nk] }
+        Self { bits, words, holding, rows, dims: [nj, nk] }
     }
 
     /// The voxels (or cells) of scanline `j` of slice `k`. Bits past the scanline's end may be set.
@@ -106,7 +119,18 @@ impl LeafRows {
     /// The same and what follows, at least [`MORE`] words.
     #[inline(always)]
     fn scanline_and_more(&self, j: usize, k: usize) -> &[u64] {
-        let row = leaf_of(k, self.dims[1]) * self.rows + leaf_of(j, self.dims[0]);
-        &self.bits[row * self.words..]
+        &self.bits[self.row(j, k) * self.words..]
+    }
+
+    /// Whether one of [`Self::scanline`]'s bits is set.
+    #[inline(always)]
+    fn holds(&self, j: usize, k: usize) -> bool {
+        self.holding[self.row(j, k)]
+    }
+
+    /// The row of leaves that scanline `j` of slice `k` passes.
+    #[inline(always)]
+    fn row(&self, j: usize, k: usize) -> usize {
+        leaf_of(k, self.dims[1]) * self.rows + leaf_of(j, self.dims[0])
     }
 }

@@ -42,7 +42,7 @@ impl Leaves {
 impl<'a> Skip<'a> {
     /// By leaves and, where they are there, by runs of cells of a volume of `dims` voxels.
     pub fn new(dims: [usize; 3], classification: &'a Classification, encodings: Option<&'a Encodings>) -> Self {
-        let cells = encodings.and_then(Encodings::cells).map(|cells| [0, 1, 2].map(|axis| cells.for_axis(axis)));
+        let cells = encodings.and_then(Encodings::cells).map(|cells| [0, 1, 2].map(|axis| cells.for_axis(axis).marks));
         Self { leaves: Some(classification.occupied()), cells, ..Self::nothing(dims) }
     }
 
