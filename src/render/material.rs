@@ -21,7 +21,11 @@ use super::intermediate::Spare;
 use super::pixel::{BLOCK, Pixel, WORD, first_four, nearest, short};
 use super::ray_light::RayLight;
 use super::shade::ShadingTable;
+use super::simd::numbers::{Array, Numbers, exp_m1};
 use super::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT};
+#[cfg(target_arch = "x86_64")]
+use super::simd::wide::Avx2;
+use super::simd::wide::{LANES, Lanes, Portable, Wide, least};
 use super::simd::{self, Kernel};
 use crate::classify::CodeTables;
 use crate::classify::labels::LabelTables;
@@ -41,26 +45,83 @@ impl SliceTables {
     /// For the view's slice distance, or for a `length` in mm where that is told. With `optical_depth` the fourth component is
     /// left as extinction times length, to be scaled by a voxel's gradient opacity.
     pub fn new(tables: &CodeTables, factorization: &Factorization, length: Option<f64>, optical_depth: bool) -> Self {
-        let mut shares: Vec<f64> = factorization.slices.clone().map(|k| factorization.share(k)).collect();
-        shares.sort_by(f64::total_cmp);
-        shares.dedup();
-        let entries = shares.into_iter().map(|share| {
+        let entries = shares(factorization).into_iter().map(|share| {
             let length = length.unwrap_or(factorization.slice_distance * share) as f32;
-            let entry = |(tau, [r, g, b]): (&f32, &[f32; 3])| {
-                let depth = tau * length;
-                let w = if optical_depth || depth == 0.0 { depth } else { opacity(depth) };
-                Vec4::new(*r, *g, *b, w)
-            };
-            (share, tables.extinction.iter().zip(&tables.color).map(entry).collect())
+            let mut entries = vec![Vec4::ZERO; tables.extinction.len()];
+            simd::dispatch(Entries { tables, length, optical_depth, entries: &mut entries });
+            (share, entries)
         });
         Self { entries: entries.collect() }
     }
 }
 
+/// How many intervals slices stand for, ascending.
+fn shares(factorization: &Factorization) -> Vec<f64> {
+    let mut shares: Vec<f64> = factorization.slices.clone().map(|k| factorization.share(k)).collect();
+    shares.sort_by(f64::total_cmp);
+    shares.dedup();
+    shares
+}
+
 /// Opacity of an optical depth.
 #[inline(always)]
 fn opacity(depth: f32) -> f32 {
-    -(-depth).exp_m1()
+    opacities(Array([depth])).0[0]
+}
+
+/// The same side by side.
+#[inline(always)]
+fn opacities<V: Numbers>(depths: V) -> V {
+    let zero = V::all(0.0);
+    zero - exp_m1(zero - depths)
+}
+
+/// The job: entries by code, for rays of a `length` in mm; as [`SliceTables::new`] tells.
+struct Entries<'a> {
+    tables: &'a CodeTables,
+    length: f32,
+    optical_depth: bool,
+    entries: &'a mut [Vec4],
+}
+
+impl Kernel for Entries<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.fill::<Portable>();
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) {
+        self.fill::<Avx2>();
+    }
+}
+
+impl Entries<'_> {
+    #[inline(always)]
+    fn fill<W: Wide>(self) {
+        let Self { tables: CodeTables { extinction, color, .. }, length, optical_depth, entries } = self;
+        let codes = extinction.chunks(LANES).zip(color.chunks(LANES));
+        for ((taus, colors), entries) in codes.zip(entries.chunks_mut(LANES)) {
+            let depths = depths(taus, length);
+            let fourth = if optical_depth { depths } else { opacities(W::Numbers::load(&depths)).store() };
+            for ((entry, [r, g, b]), w) in entries.iter_mut().zip(colors).zip(fourth) {
+                *entry = Vec4::new(*r, *g, *b, w);
+            }
+        }
+    }
+}
+
+/// Optical depths of up to eight extinctions.
+#[inline(always)]
+fn depths(taus: &[f32], length: f32) -> Lanes {
+    let mut depths = [0.0; LANES];
+    for (depth, tau) in depths.iter_mut().zip(taus) {
+        *depth = tau * length;
+    }
+    depths
 }
 
 /// What voxels are lit by, and whose colours they show.
@@ -551,24 +612,83 @@ impl ShortLights {
     }
 }
 
-/// Floats' entries to be shortened.
-struct ShortenEntries<'a> {
-    entries: &'a [Vec4],
-    shorts: &'a mut [Short],
+/// The job: the same as 16-bit fractions; gives the least opacity above 0.
+struct ShortEntries<'a> {
+    tables: &'a CodeTables,
+    length: f32,
+    entries: &'a mut [Short],
 }
 
-impl Kernel for ShortenEntries<'_> {
-    type Output = ();
+impl Kernel for ShortEntries<'_> {
+    type Output = f32;
 
     #[inline(always)]
-    fn run(self) {
-        for (entry, Short(out)) in self.entries.iter().zip(self.shorts) {
-            let premultiplied = (*entry * entry.w).with_w(entry.w).to_array();
-            for n in 0..4 {
-                out[n] = short(premultiplied[n]);
-            }
-        }
+    fn run(self) -> f32 {
+        self.fill::<Portable>()
     }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) -> f32 {
+        self.fill::<Avx2>()
+    }
+}
+
+impl ShortEntries<'_> {
+    #[inline(always)]
+    fn fill<W: Wide>(self) -> f32 {
+        let Self { tables: CodeTables { extinction, color, .. }, length, entries } = self;
+        let ((taus, last_taus), (colors, last_colors)) = (extinction.as_chunks(), color.as_chunks());
+        let (entries, _) = entries.as_chunks_mut();
+        let mut faintest = [f32::INFINITY; LANES];
+        for ((taus, colors), entries) in taus.iter().zip(colors).zip(&mut *entries) {
+            eight::<W>(taus, colors, length, entries, &mut faintest);
+        }
+        if let Some(entries) = entries.get_mut(taus.len()) {
+            let (mut taus, mut colors) = ([0.0; LANES], [[0.0; 3]; LANES]);
+            taus[..last_taus.len()].copy_from_slice(last_taus);
+            colors[..last_colors.len()].copy_from_slice(last_colors);
+            eight::<W>(&taus, &colors, length, entries, &mut faintest);
+        }
+        faintest.into_iter().fold(f32::INFINITY, least)
+    }
+}
+
+/// Eight of them; `faintest` are the least opacities above 0 so far.
+#[inline(always)]
+fn eight<W: Wide>(
+    taus: &Lanes,
+    colors: &[[f32; 3]; LANES],
+    length: f32,
+    entries: &mut [Short; LANES],
+    faintest: &mut Lanes,
+) {
+    let mut any = 0;
+    for tau in taus {
+        any |= tau.to_bits();
+    }
+    if any == 0 {
+        *entries = [Short::CLEAR; LANES];
+        return;
+    }
+    let mut depths = [0.0; LANES];
+    for lane in 0..LANES {
+        depths[lane] = taus[lane] * length;
+    }
+    let opacities = opacities(W::Numbers::load(&depths)).store();
+    let mut premultiplied = [0.0; 4 * LANES];
+    for lane in 0..LANES {
+        let opacity = if opacities[lane] > 0.0 { opacities[lane] } else { f32::INFINITY };
+        faintest[lane] = least(opacity, faintest[lane]);
+        let [r, g, b] = colors[lane];
+        let entry = Vec4::new(r, g, b, 1.0) * opacities[lane];
+        premultiplied[4 * lane..][..4].copy_from_slice(&entry.to_array());
+    }
+    let mut shorts = [0; 4 * LANES];
+    for n in 0..4 * LANES {
+        shorts[n] = short(premultiplied[n]);
+    }
+    *entries = bytemuck::cast(shorts);
 }
 
 impl ShortTables {
@@ -576,19 +696,21 @@ impl ShortTables {
     /// medium by less than 1 in 255.
     const LEAST_OPACITY: f32 = 1.0 / 512.0;
 
-    /// Of the floats' tables; `None` where they hold what 16 bits are too coarse or too few for.
-    pub fn new(tables: &SliceTables, shading: Option<&ShadingTable>) -> Option<Self> {
-        let whole = table_of(&tables.entries, 1.0);
-        if whole.iter().any(|entry| entry.w > 0.0 && entry.w < Self::LEAST_OPACITY) {
-            return None;
+    /// For the view's slice distance; `None` where they would hold what 16 bits are too coarse or too few for.
+    pub fn new(tables: &CodeTables, factorization: &Factorization, shading: Option<&ShadingTable>) -> Option<Self> {
+        let mut short = Self { entries: vec![], lights: ShortLights::new(shading)? };
+        let shares = shares(factorization);
+        for &share in &shares {
+            let mut entries = for_any_code(&SPARE_ENTRIES);
+            let length = (factorization.slice_distance * share) as f32;
+            let faintest = simd::dispatch(ShortEntries { tables, length, entries: &mut entries });
+            short.entries.push((share, entries));
+            // The outermost slices, which stand for less, may be fainter.
+            if Some(&share) == shares.last() && faintest < Self::LEAST_OPACITY {
+                return None;
+            }
         }
-        let lights = ShortLights::new(shading)?;
-        let shorten = |(share, entries): &(f64, Vec<Vec4>)| {
-            let mut shorts = for_any_code(&SPARE_ENTRIES);
-            simd::dispatch(ShortenEntries { entries, shorts: &mut shorts });
-            (*share, shorts)
-        };
-        Some(Self { entries: tables.entries.iter().map(shorten).collect(), lights })
+        Some(short)
     }
 }
 

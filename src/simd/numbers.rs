@@ -51,6 +51,40 @@ pub trait Numbers: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output =
     fn powf(self, exponent: f32) -> Self;
 }
 
+/// e^x, to 3e-7 of it; x at most 88.
+#[inline(always)]
+pub fn exp<V: Numbers>(x: V) -> V {
+    let (whole, rest) = powers(x);
+    (exp_m1_of_rest(rest) + V::all(1.0)) * whole.powers_of_2()
+}
+
+/// e^x - 1, to 3e-7 of it; x at most 88.
+#[inline(always)]
+pub fn exp_m1<V: Numbers>(x: V) -> V {
+    let (whole, rest) = powers(x);
+    let scale = whole.powers_of_2();
+    exp_m1_of_rest(rest) * scale + (scale - V::all(1.0))
+}
+
+/// A whole number and a rest of at most a half of ln 2, so that e^x is 2 to the power of the one times e to the power of the other.
+#[inline(always)]
+fn powers<V: Numbers>(x: V) -> (V, V) {
+    let integer = V::all(INTEGER);
+    let x = x.most(V::all(-87.0));
+    let whole = (x * V::all(std::f32::consts::LOG2_E) + integer) - integer;
+    // ln 2 in two parts, the first of few bits.
+    (whole, (x - whole * V::all(0.693_359_4)) + whole * V::all(2.121_944_4e-4))
+}
+
+#[inline(always)]
+fn exp_m1_of_rest<V: Numbers>(rest: V) -> V {
+    let mut sum = V::all(1.0 / 720.0);
+    for coefficient in [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0] {
+        sum = sum * rest + V::all(coefficient);
+    }
+    sum * rest
+}
+
 /// So many numbers in an array.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Array<const N: usize>(pub [f32; N]);
@@ -330,5 +364,22 @@ mod tests {
             let [portable, wide] = dispatch(Both([&a, &a.map(|number| number + 0.0)]));
             prop_assert_eq!([&portable[10 * LANES..], &wide[10 * LANES..]], [[0; LANES]; 2], "no difference is anything");
         }
+    }
+
+    #[test]
+    fn powers_are_exact_to_a_few_roundings() {
+        let off = |got: f32, expected: f64| (f64::from(got) - expected).abs() / expected.abs();
+        for n in -8700..=880 {
+            let x = n as f32 / 100.0;
+            let error = off(exp(Array([x])).0[0], f64::from(x).exp());
+            assert!(error < 3e-7, "{x}: {error}");
+        }
+        assert_eq!(exp(Array([0.0])), Array([1.0]));
+        for x in (-8700..=880).map(|n| n as f32 / 100.0).chain((1..40).map(|n| -0.5f32.powi(n))).filter(|x| *x != 0.0) {
+            let error = off(exp_m1(Array([x])).0[0], f64::from(x).exp_m1());
+            assert!(error < 3e-7, "{x}: {error}");
+        }
+        assert_eq!(exp_m1(Array([0.0])), Array([0.0]));
+        assert_eq!(exp_m1(Array([-1000.0])), Array([-1.0]));
     }
 }

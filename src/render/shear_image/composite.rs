@@ -20,7 +20,7 @@ use crate::classify::TransferFunction;
 use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
 use crate::render::lighting::Lighting;
 use crate::render::{DepthCueing, Lookup, OpacityCorrection, RenderError, Scene, SlabTable, Timings};
-use crate::simd::numbers::{INTEGER, Numbers};
+use crate::simd::numbers::{Numbers, exp};
 use crate::simd::wide::{LANES, Lanes, Portable, Wide, rows};
 use crate::volume::gradient::{Code, GradientFrame};
 use crate::volume::scanlines::Scanlines;
@@ -575,36 +575,4 @@ fn world<W: Wide>([a, b, c]: [Vec3; 3], [x, y, z]: &[Lanes; 3]) -> [W::Numbers; 
         gradients[axis] = a * x + b * y + c * z;
     }
     gradients
-}
-
-/// e^x, to 3e-7 of it; x at most 88.
-#[inline(always)]
-fn exp<V: Numbers>(x: V) -> V {
-    let integer = V::all(INTEGER);
-    let x = x.most(V::all(-87.0));
-    let whole = (x * V::all(std::f32::consts::LOG2_E) + integer) - integer;
-    // ln 2 in two parts, the first of few bits.
-    let rest = (x - whole * V::all(0.693_359_4)) + whole * V::all(2.121_944_4e-4);
-    let mut sum = V::all(1.0 / 720.0);
-    for coefficient in [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
-        sum = sum * rest + V::all(coefficient);
-    }
-    sum * whole.powers_of_2()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::simd::numbers::Array;
-
-    #[test]
-    fn powers_are_exact_to_a_few_roundings() {
-        for n in -8700..=880 {
-            let x = n as f32 / 100.0;
-            let expected = f64::from(x).exp();
-            let error = (f64::from(exp(Array([x])).0[0]) - expected) / expected;
-            assert!(error.abs() < 3e-7, "{x}: {error}");
-        }
-        assert_eq!(exp(Array([0.0])), Array([1.0]));
-    }
 }

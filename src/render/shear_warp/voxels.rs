@@ -73,8 +73,8 @@ impl Pass<'_> {
     /// Tables of 16-bit fractions, where these will do.
     fn shorts(&self, shading: Option<&ShadingTable>) -> Option<ShortTables> {
         let plain = self.factorization.is_parallel() && self.cue.is_none() && !self.is_factored();
-        let tables = || SliceTables::new(self.classification.tables(), self.factorization, None, false);
-        if plain { ShortTables::new(&tables(), shading) } else { None }
+        let tables = self.classification.tables();
+        plain.then(|| ShortTables::new(tables, self.factorization, shading)).flatten()
     }
 
     /// True where opacity depends on the gradient.
