@@ -35,7 +35,7 @@ use super::regions::MAX_REGIONS;
 use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
 use convex::Convex;
-pub use convex::Meeting;
+pub use convex::{Halves, Meeting};
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
 pub const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
@@ -103,8 +103,9 @@ enum Shear {
 /// What may clip pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Clipping {
-    /// Clip planes and balls.
+    /// Clip planes and balls, and which of the planes.
     pub by_planes: bool,
+    pub planes: Halves,
     pub holes: Holes,
     /// The ends of rays.
     pub by_limits: bool,
@@ -353,14 +354,14 @@ impl Factorization {
         index
     }
 
-    /// Pixels u of scanline `v` of which clipping may leave something between two slices (in the order of the walk), and those of
+    /// Pixels u of scanline `v` of which clipping by some planes may leave something between two slices (in the order of the walk), and those of
     /// which it leaves all, but for holes.
     #[inline(always)]
-    pub fn clipped_pixels(&self, v: usize, slices: [f64; 2]) -> [Range<usize>; 2] {
+    pub fn clipped_pixels(&self, v: usize, slices: [f64; 2], planes: Halves) -> [Range<usize>; 2] {
         if self.clip.is_empty() {
             return [0..usize::MAX, 0..usize::MAX];
         }
-        self.clip.pixels(v, slices.map(|k| (self.lattice(k), k)), self.size[0])
+        self.clip.pixels(v, slices.map(|k| (self.lattice(k), k)), self.size[0], planes)
     }
 
     /// Finds for each hole of some the pixels u of scanline `v` of which it may take something between two slices, and those of
@@ -370,7 +371,7 @@ impl Factorization {
         let slices = slices.map(|k| (self.lattice(k), k));
         for (n, hole) in self.holes.iter().enumerate() {
             if which.0 >> n & 1 == 1 {
-                found(hole.pixels(v, slices, self.size[0]));
+                found(hole.pixels(v, slices, self.size[0], Halves::ALL));
             }
         }
     }
@@ -402,7 +403,7 @@ impl Factorization {
         match self.clip.meets(block) {
             Meeting::Outside => return None,
             Meeting::Inside => {}
-            Meeting::Across => clipping.by_planes = true,
+            Meeting::Across => (clipping.by_planes, clipping.planes) = (true, self.clip.cutting(block)),
         }
         for (n, hole) in self.holes.iter().enumerate() {
             match hole.meets(block) {

@@ -68,9 +68,15 @@ impl ClippedPixels {
     }
 
     /// Clips the pixels of scanline `v`, the one entered, that are set in `open`; false where all of them are left. Nothing is behind those whose
-    /// rays have ended: they are not set any more.
+    /// rays have ended: they are not set any more. Nothing need be told of words beside those `asked` for.
     #[inline(always)]
-    pub fn find<W: Masks>(&mut self, factorization: &Factorization, v: usize, open: &mut [u64]) -> bool {
+    pub fn find<W: Masks>(
+        &mut self,
+        factorization: &Factorization,
+        v: usize,
+        open: &mut [u64],
+        asked: Range<usize>,
+    ) -> bool {
         let limits = factorization.limits().filter(|_| self.by_limits || self.have_ended);
         let positions = self.positions;
         if limits.is_some() {
@@ -84,8 +90,10 @@ impl ClippedPixels {
         let shapes = if by_shapes { self.shapes(factorization, v) } else { Default::default() };
         // Others are as they are.
         let told = match limits {
+            // Which rays have ended is told once for all.
             Some(limits) if !by_shapes => limits.told_apart(v),
-            _ => 0..open.len(),
+            Some(_) => 0..open.len(),
+            None => asked,
         };
         let (mut taken, mut any_cut) = (0, 0);
         for word in told.start..told.end.min(open.len()) {
@@ -120,10 +128,10 @@ impl ClippedPixels {
     /// The pixels of scanline `v` of which clip planes and balls leave something, and those of which they leave all; and what holes take.
     #[inline(always)]
     fn shapes(&mut self, factorization: &Factorization, v: usize) -> [Range<usize>; 2] {
-        let (Clipping { by_planes, holes, .. }, slices) = (self.clipping, self.slices);
+        let (Clipping { by_planes, planes, holes, .. }, slices) = (self.clipping, self.slices);
         self.holes.clear();
         factorization.hollow_pixels(v, slices, holes, |pixels| self.holes.push(pixels));
-        if by_planes { factorization.clipped_pixels(v, slices) } else { [0..usize::MAX, 0..usize::MAX] }
+        if by_planes { factorization.clipped_pixels(v, slices, planes) } else { [0..usize::MAX, 0..usize::MAX] }
     }
 
     /// What is left, by word.

@@ -197,6 +197,14 @@ impl Mask {
         }
     }
 
+    /// The words that pixels are in.
+    #[inline(always)]
+    pub fn filled(&self) -> Range<usize> {
+        let words = self.words();
+        let first = words.iter().position(|word| *word != 0).unwrap_or(words.len());
+        first..words.iter().rposition(|word| *word != 0).map_or(first, |last| last + 1)
+    }
+
     /// The words, pixel 0 first.
     #[inline(always)]
     pub fn words(&self) -> &[u64] {

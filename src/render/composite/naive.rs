@@ -16,7 +16,7 @@ use super::sources::VoxelSource;
 use super::voxels::{VoxelLattice, Voxels, cut};
 use crate::classify::preintegration::Slabs;
 use crate::render::bands;
-use crate::render::factorization::{Factorization, Holes, SlicePlacement};
+use crate::render::factorization::{Factorization, Halves, Holes, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
 use crate::render::material::{Shader, SliceShader};
 use crate::render::pixel::Pixel;
@@ -102,7 +102,7 @@ impl<L: Lattice, V: VoxelSource, M: Shader> Voxels<'_, L, V, M> {
 
 /// Whether clipping leaves all of a pixel's ray between two slices; `None` where it leaves nothing.
 fn clipped(f: &Factorization, [u, v]: [usize; 2], slices: [f64; 2]) -> Option<bool> {
-    let [mut some, mut whole] = f.clipped_pixels(v, slices).map(|pixels| pixels.contains(&u));
+    let [mut some, mut whole] = f.clipped_pixels(v, slices, Halves::ALL).map(|pixels| pixels.contains(&u));
     f.hollow_pixels(v, slices, Holes::ALL, |hollow| {
         let [touched, gone] = hollow.map(|pixels| pixels.contains(&u));
         some &= !gone;

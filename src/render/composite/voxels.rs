@@ -187,7 +187,9 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
                 continue;
             }
             if CARE && clipped.enter_scanline(f, v) {
-                let takes = clipped.find::<W>(f, v, scanline.non_opaque);
+                let (first, (_, words)) = (first_u / WORD, touched.words());
+                let asked = first + words.start..first + words.end + 1;
+                let takes = clipped.find::<W>(f, v, scanline.non_opaque, asked);
                 if takes && !touched.keep(&Open { words: clipped.open(), ..lies }) {
                     continue;
                 }

@@ -22,6 +22,26 @@ pub enum Meeting {
     Across,
 }
 
+/// Some of a shape's half-spaces: a bit for each, the last one for all from it on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Halves(u64);
+
+impl Halves {
+    /// All that there may be.
+    pub const ALL: Self = Self(u64::MAX);
+
+    #[inline(always)]
+    fn bit(n: usize) -> u64 {
+        1 << n.min(63)
+    }
+
+    /// Those of `halves`.
+    #[inline(always)]
+    fn of(self, halves: &[HalfSpace]) -> impl Iterator<Item = &HalfSpace> {
+        halves.iter().enumerate().filter(move |(n, _)| self.0 & Self::bit(*n) != 0).map(|(_, half)| half)
+    }
+}
+
 /// A convex shape in voxel coordinates i, j, k.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Convex {
@@ -51,9 +71,9 @@ impl Convex {
     }
 
     /// Of `width` pixels of scanline `v` those that may meet it between two slices, told by their lattices and places along k; and
-    /// those that are within it all the way, since it is convex.
+    /// those that are within it all the way, since it is convex. Of half-spaces only those are looked at that `cut` ([`Self::cutting`]).
     #[inline(always)]
-    pub fn pixels(&self, v: usize, slices: [(Lattice, f64); 2], width: usize) -> [Range<usize>; 2] {
+    pub fn pixels(&self, v: usize, slices: [(Lattice, f64); 2], width: usize, cut: Halves) -> [Range<usize>; 2] {
         let rows = slices.map(|(Lattice { offset, scale }, k)| (offset.y + scale * v as f64, k));
         // From a place along i to a pixel.
         let per_voxel = slices.map(|(Lattice { scale, .. }, _)| 1.0 / scale);
@@ -61,7 +81,7 @@ impl Convex {
 
         let mut whole = [f64::NEG_INFINITY, f64::INFINITY];
         for (n, &(j, k)) in rows.iter().enumerate() {
-            let [low, high] = self.stretch(j, k);
+            let [low, high] = self.stretch(j, k, cut);
             if low > high {
                 whole = [1.0, 0.0];
                 break;
@@ -71,7 +91,7 @@ impl Convex {
         // What lies between the slices may reach further than on either, or lie between them altogether. A ray that passes a
         // half-space there passes it on one of the two.
         let mut some = [f64::NEG_INFINITY, f64::INFINITY];
-        for half in &self.bounds {
+        for half in cut.of(&self.bounds) {
             let [a, b] = rows.map(|(j, k)| distance(half, j, k));
             if half.normal.x > 0.0 {
                 some[0] = some[0].max(u(0, -a).min(u(1, -b)));
@@ -90,23 +110,26 @@ impl Convex {
     /// Where a block of voxel coordinates is.
     #[inline(always)]
     pub fn meets(&self, block: [DVec3; 2]) -> Meeting {
-        let at = |half: &HalfSpace| {
-            let [a, b] = block.map(|corner| half.normal * corner);
-            let [least, most] = [a.min(b), a.max(b)].map(|corner| corner.element_sum() + half.offset);
-            [least, most]
-        };
-        if self.bounds.iter().any(|half| at(half)[1] < -MARGIN) {
+        if self.bounds.iter().any(|half| along(half, block)[1] < -MARGIN) {
             return Meeting::Outside;
         }
-        let is_inside = self.clip.balls.is_empty() && self.clip.halves.iter().all(|half| at(half)[0] > MARGIN);
+        let is_inside =
+            self.clip.balls.is_empty() && self.clip.halves.iter().all(|half| along(half, block)[0] > MARGIN);
         if is_inside { Meeting::Inside } else { Meeting::Across }
     }
 
-    /// What it has of the scanline at j of the slice at k, along i.
+    /// Which half-spaces may not hold all of a block of voxel coordinates.
     #[inline(always)]
-    fn stretch(&self, j: f64, k: f64) -> [f64; 2] {
+    pub fn cutting(&self, block: [DVec3; 2]) -> Halves {
+        let cut = self.bounds.iter().enumerate().filter(|(_, half)| along(half, block)[0] <= MARGIN);
+        Halves(cut.fold(0, |halves, (n, _)| halves | Halves::bit(n)))
+    }
+
+    /// What it has of the scanline at j of the slice at k, along i; half-spaces that do not `cut` are not looked at.
+    #[inline(always)]
+    fn stretch(&self, j: f64, k: f64, cut: Halves) -> [f64; 2] {
         let [mut low, mut high] = [f64::NEG_INFINITY, f64::INFINITY];
-        for half in &self.clip.halves {
+        for half in cut.of(&self.clip.halves) {
             let distance = distance(half, j, k);
             if half.normal.x > 0.0 {
                 low = low.max(-distance);
@@ -125,6 +148,13 @@ impl Convex {
         }
         [low, high]
     }
+}
+
+/// The least and the greatest distance of a block of voxel coordinates within a half-space.
+#[inline(always)]
+fn along(half: &HalfSpace, block: [DVec3; 2]) -> [f64; 2] {
+    let [a, b] = block.map(|corner| half.normal * corner);
+    [a.min(b), a.max(b)].map(|corner| corner.element_sum() + half.offset)
 }
 
 /// The same half-space with a first component of 1, 0 or -1.
