@@ -260,15 +260,22 @@ fn plot(path: &Path, title: &str, curves: &[(String, Vec<(f64, f64)>)], logarith
         let points = || curves.iter().flat_map(|(_, points)| points);
         let across = points().fold((f64::INFINITY, 0f64), |(low, high), (x, _)| (low.min(*x), high.max(*x)));
         let up = points().fold((f64::INFINITY, 0f64), |(low, high), (_, y)| (low.min(*y), high.max(*y)));
-        let root = SVGBackend::new(path, (800, 400)).into_drawing_area();
+        let root = SVGBackend::new(path, (800, 480)).into_drawing_area();
         root.fill(&WHITE)?;
         let mut builder = ChartBuilder::on(&root);
-        builder.caption(title, ("sans-serif", 18)).margin(12).x_label_area_size(32).y_label_area_size(48);
+        builder
+            .caption(title, ("sans-serif", 18))
+            .margin(12)
+            .margin_right(24)
+            .x_label_area_size(32)
+            .y_label_area_size(48);
         // The axes' types differ, the drawing does not.
         macro_rules! draw {
             ($chart:expr) => {{
                 let mut chart = $chart;
-                chart.configure_mesh().light_line_style(WHITE).draw()?;
+                let plain = |number: &f64| ((number * 1000.0).round() / 1000.0).to_string();
+                let mut mesh = chart.configure_mesh();
+                mesh.light_line_style(WHITE).x_label_formatter(&plain).y_label_formatter(&plain).draw()?;
                 for (at, (name, points)) in curves.iter().enumerate() {
                     let style = Palette99::pick(at).stroke_width(2);
                     chart
@@ -276,7 +283,9 @@ fn plot(path: &Path, title: &str, curves: &[(String, Vec<(f64, f64)>)], logarith
                         .label(name)
                         .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], style));
                 }
-                chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK).draw()?;
+                let mut labels = chart.configure_series_labels();
+                let labels = labels.position(SeriesLabelPosition::UpperLeft).background_style(WHITE);
+                labels.border_style(BLACK).draw()?;
             }};
         }
         if logarithmic {
@@ -287,7 +296,8 @@ fn plot(path: &Path, title: &str, curves: &[(String, Vec<(f64, f64)>)], logarith
             let across = (across.0..across.1).log_scale().with_key_points(ticks);
             draw!(builder.build_cartesian_2d(across, (up.0 * 0.8..up.1 * 1.2).log_scale())?);
         } else {
-            draw!(builder.build_cartesian_2d(across.0..across.1, 0.0..up.1 * 1.1)?);
+            // With room for their names.
+            draw!(builder.build_cartesian_2d(across.0..across.1, 0.0..up.1 * 1.7)?);
         }
         root.present()?;
         Ok(())
