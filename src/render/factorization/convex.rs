@@ -172,3 +172,35 @@ fn along_scanlines(half: &HalfSpace) -> HalfSpace {
 fn distance(half: &HalfSpace, j: f64, k: f64) -> f64 {
     half.normal.y * j + half.normal.z * k + half.offset
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn half_spaces_that_hold_a_whole_block_do_not_matter_in_it(
+            halves in prop::collection::vec((prop::array::uniform3(-1.0f64..1.0), 0.0f64..40.0), 0..70),
+            balls in prop::collection::vec((prop::array::uniform3(-5.0f64..25.0), 2.0f64..30.0), 0..2),
+            lattices in prop::array::uniform2((prop::array::uniform2(-6.0f64..6.0), 0.6f64..1.4)),
+            first in 0usize..20,
+        ) {
+            let halves = halves.into_iter().map(|(normal, offset)| HalfSpace { normal: normal.into(), offset });
+            let balls = balls.into_iter().map(|(centre, radius)| Ball::new(centre.into(), radius));
+            let shape = Convex::new(&Clip { halves: halves.collect(), balls: balls.collect() });
+            let (width, vs) = (24, first..first + 4);
+            let lattices = lattices.map(|(offset, scale)| Lattice { offset: DVec2::from(offset), scale });
+            let slices = [(lattices[0], 7.0), (lattices[1], 8.0)];
+            let [a, b] = slices.map(|(Lattice { offset, scale }, k)| {
+                [(0, vs.start), (width - 1, vs.end - 1)].map(|(u, v)| (offset + DVec2::new(u as f64, v as f64) * scale).extend(k))
+            });
+            let cut = shape.cutting([a[0].min(b[0]), a[1].max(b[1])]);
+            for v in vs {
+                prop_assert_eq!(shape.pixels(v, slices, width, cut), shape.pixels(v, slices, width, Halves::ALL));
+            }
+        }
+    }
+}
