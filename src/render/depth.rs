@@ -78,8 +78,8 @@ impl SceneDepth {
         let width = view.size().0 as usize;
         let window = window(&distances, width, f32::INFINITY);
         let within = |row: usize, own: &mut [f32]| own.copy_from_slice(&distances[row * width..][window[0].clone()]);
-        Self::of_window(view, window.clone(), |first, width, own| {
-            (first..).zip(own.chunks_exact_mut(width)).for_each(|(row, own)| within(row, own));
+        Self::of_window(view, window.clone(), |first, own| {
+            (first..).zip(own.chunks_exact_mut(window[0].len())).for_each(|(row, own)| within(row, own));
         })
     }
 
@@ -103,7 +103,7 @@ impl SceneDepth {
         let width = view.size().0 as usize;
         let window = window(values, width, 1.0);
         let others = AtomicUsize::new(0);
-        let depth = Self::of_window(view, window.clone(), |first, _, distances| {
+        let depth = Self::of_window(view, window.clone(), |first, distances| {
             let job = Distances { ahead: &ahead, values, width, columns: window[0].clone(), first, distances };
             others.fetch_add(simd::dispatch(job), Relaxed);
         });
@@ -113,14 +113,14 @@ impl SceneDepth {
         }
     }
 
-    /// What `fill` writes, from a row on, of rows of so many pixels of the window.
-    fn of_window(view: &View, window: [Range<usize>; 2], fill: impl Fn(usize, usize, &mut [f32]) + Sync) -> Self {
+    /// What `fill` writes, from a row on, of the window's part of rows.
+    fn of_window(view: &View, window: [Range<usize>; 2], fill: impl Fn(usize, &mut [f32]) + Sync) -> Self {
         let [columns, rows] = [window[0].len(), window[1].len()];
         let mut distances = vec![0.0; columns * rows];
         let bands = distances.par_chunks_mut((columns * BAND_HEIGHT).max(1)).enumerate();
         let hashes: Vec<u128> = bands
             .map(|(band, distances)| {
-                fill(window[1].start + band * BAND_HEIGHT, columns, distances);
+                fill(window[1].start + band * BAND_HEIGHT, distances);
                 xxh3_128(bytemuck::cast_slice(distances))
             })
             .collect();

@@ -671,11 +671,7 @@ fn eight<W: Wide>(
         *entries = [Short::CLEAR; LANES];
         return;
     }
-    let mut depths = [0.0; LANES];
-    for lane in 0..LANES {
-        depths[lane] = taus[lane] * length;
-    }
-    let opacities = opacities(W::Numbers::load(&depths)).store();
+    let opacities = opacities(W::Numbers::load(&depths(taus, length))).store();
     let mut premultiplied = [0.0; 4 * LANES];
     for lane in 0..LANES {
         let opacity = if opacities[lane] > 0.0 { opacities[lane] } else { f32::INFINITY };
