@@ -35,7 +35,7 @@ use super::regions::MAX_REGIONS;
 use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
 use convex::Convex;
-pub use convex::{Halves, Meeting};
+pub use convex::{Halves, Meeting, Plane};
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
 pub const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
@@ -135,7 +135,7 @@ impl Clipping {
 }
 
 /// Where pixels meet a slice: (u, v) at voxel coordinates `offset + scale (u, v)`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Lattice {
     pub offset: DVec2,
     /// Voxels from one pixel to the next.
@@ -354,21 +354,26 @@ impl Factorization {
         index
     }
 
-    /// Pixels u of scanline `v` of which clipping by some planes may leave something between two slices (in the order of the walk), and those of
-    /// which it leaves all, but for holes.
+    /// Two slices, which may be between slices of voxels, and where pixels meet them.
     #[inline(always)]
-    pub fn clipped_pixels(&self, v: usize, slices: [f64; 2], planes: Halves) -> [Range<usize>; 2] {
+    pub fn planes(&self, slices: [f64; 2]) -> [Plane; 2] {
+        slices.map(|k| Plane { lattice: self.lattice(k), k })
+    }
+
+    /// Pixels u of scanline `v` of which clipping by some half-spaces may leave something between two slices (in the order of the walk), and
+    /// those of which it leaves all, but for holes.
+    #[inline(always)]
+    pub fn clipped_pixels(&self, v: usize, slices: &[Plane; 2], halves: Halves) -> [Range<usize>; 2] {
         if self.clip.is_empty() {
             return [0..usize::MAX, 0..usize::MAX];
         }
-        self.clip.pixels(v, slices.map(|k| (self.lattice(k), k)), self.size[0], planes)
+        self.clip.pixels(v, slices, self.size[0], halves)
     }
 
     /// Finds for each hole of some the pixels u of scanline `v` of which it may take something between two slices, and those of
     /// which it takes all.
     #[inline(always)]
-    pub fn hollow_pixels(&self, v: usize, slices: [f64; 2], which: Holes, mut found: impl FnMut([Range<usize>; 2])) {
-        let slices = slices.map(|k| (self.lattice(k), k));
+    pub fn hollow_pixels(&self, v: usize, slices: &[Plane; 2], which: Holes, mut found: impl FnMut([Range<usize>; 2])) {
         for (n, hole) in self.holes.iter().enumerate() {
             if which.0 >> n & 1 == 1 {
                 found(hole.pixels(v, slices, self.size[0], Halves::ALL));

@@ -153,6 +153,11 @@ impl Ball {
         Self { unit_from_space: self.unit_from_space * space_from_other }
     }
 
+    /// The space in which it is the unit ball, from its own.
+    pub fn unit_from_space(&self) -> DAffine3 {
+        self.unit_from_space
+    }
+
     /// Half-spaces along the axes that hold it as closely as they can.
     pub fn bounds(&self) -> [HalfSpace; 6] {
         let space_from_unit = self.unit_from_space.inverse();

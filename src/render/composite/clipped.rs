@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::{WORD, below};
-use crate::render::factorization::{Clipping, Factorization};
+use crate::render::factorization::{Clipping, Factorization, Plane};
 use crate::render::intermediate::Band;
 use crate::render::simd::masks::Masks;
 
@@ -16,9 +16,11 @@ pub struct ClippedPixels {
     ended: Vec<Option<f32>>,
     clipping: Clipping,
     /// The slices, and where they are, from the front.
-    slices: [f64; 2],
+    slices: [Plane; 2],
     positions: [f32; 2],
-    /// True where rays of the scanline end or begin between the slices.
+    /// True where shapes may take something of the scanline.
+    by_shapes: bool,
+    /// True where rays of it end or begin between the slices.
     by_limits: bool,
     /// True where rays of the scanline have ended since that was known.
     have_ended: bool,
@@ -27,6 +29,8 @@ pub struct ClippedPixels {
     /// Those of them of which not all is left, and whether there are any.
     cut: Vec<u64>,
     cuts_any: bool,
+    /// Pixels of which clip planes and balls leave something, and those of which they leave all.
+    left: [Range<usize>; 2],
     /// Pixels of which a hole may take something, and those of which it takes all.
     holes: Vec<[Range<usize>; 2]>,
 }
@@ -45,30 +49,31 @@ impl ClippedPixels {
     pub fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
         let clipping = factorization.clipping(vs, slices);
         self.clipping = clipping.unwrap_or_default();
-        self.slices = slices;
+        self.slices = factorization.planes(slices);
         self.positions = slices.map(|k| factorization.position(k) as f32);
         clipping.is_some()
     }
 
-    /// For scanline `v`, one of those entered; true where its pixels must be clipped ([`Self::find`]).
+    /// For scanline `v`, one of those entered; true where pixels of the words `asked` for must be clipped ([`Self::find`]), else they are as they are.
     #[inline(always)]
-    pub fn enter_scanline(&mut self, factorization: &Factorization, v: usize) -> bool {
+    pub fn enter_scanline(&mut self, factorization: &Factorization, v: usize, asked: &Range<usize>) -> bool {
         (self.by_limits, self.have_ended) = (false, false);
         if let Some(limits) = factorization.limits().filter(|_| self.clipping.by_limits) {
             self.by_limits = limits.tells_apart(v, self.positions);
             self.have_ended = limits.end_between(v, self.ended[v - self.first], self.positions[0]);
         }
+        self.by_shapes = self.clipping.by_shapes() && self.shapes_take(factorization, v, asked);
         self.is_any()
     }
 
-    /// True where pixels of the scanline must be clipped; else they are as they are.
+    /// True where pixels of the scanline must be clipped.
     #[inline(always)]
     pub fn is_any(&self) -> bool {
-        self.clipping.by_shapes() || self.by_limits || self.have_ended
+        self.by_shapes || self.by_limits || self.have_ended
     }
 
     /// Clips the pixels of scanline `v`, the one entered, that are set in `open`; false where all of them are left. Nothing is behind those whose
-    /// rays have ended: they are not set any more. Nothing need be told of words beside those `asked` for.
+    /// rays have ended: they are not set any more. Nothing is told of words beside those `asked` for.
     #[inline(always)]
     pub fn find<W: Masks>(
         &mut self,
@@ -86,13 +91,13 @@ impl ClippedPixels {
         self.open.extend_from_slice(open);
         self.cut.clear();
         self.cut.resize(open.len(), 0);
-        let by_shapes = self.clipping.by_shapes();
-        let shapes = if by_shapes { self.shapes(factorization, v) } else { Default::default() };
-        // Others are as they are.
         let told = match limits {
-            // Which rays have ended is told once for all.
-            Some(limits) if !by_shapes => limits.told_apart(v),
-            Some(_) => 0..open.len(),
+            // Which rays have ended is told once for all; others are as they are.
+            Some(limits) if self.by_shapes => {
+                let told = limits.told_apart(v);
+                told.start.min(asked.start)..told.end.max(asked.end)
+            }
+            Some(limits) => limits.told_apart(v),
             None => asked,
         };
         let (mut taken, mut any_cut) = (0, 0);
@@ -106,8 +111,8 @@ impl ClippedPixels {
                     left &= seen.some;
                     cut = !seen.whole;
                 }
-                if by_shapes {
-                    let [some, whole] = &shapes;
+                if self.by_shapes {
+                    let [some, whole] = &self.left;
                     left &= within(some, word);
                     cut |= !within(whole, word);
                     for [some, all] in &self.holes {
@@ -125,13 +130,21 @@ impl ClippedPixels {
         taken != 0
     }
 
-    /// The pixels of scanline `v` of which clip planes and balls leave something, and those of which they leave all; and what holes take.
+    /// Finds what clip planes and balls leave of scanline `v`, and what holes take; false where these take nothing of the words `asked` for.
     #[inline(always)]
-    fn shapes(&mut self, factorization: &Factorization, v: usize) -> [Range<usize>; 2] {
-        let (Clipping { by_planes, planes, holes, .. }, slices) = (self.clipping, self.slices);
+    fn shapes_take(&mut self, factorization: &Factorization, v: usize, asked: &Range<usize>) -> bool {
+        let Clipping { by_planes, planes, holes, .. } = self.clipping;
+        let asked = asked.start * WORD..asked.end.saturating_mul(WORD).min(factorization.size[0]);
         self.holes.clear();
-        factorization.hollow_pixels(v, slices, holes, |pixels| self.holes.push(pixels));
-        if by_planes { factorization.clipped_pixels(v, slices, planes) } else { [0..usize::MAX, 0..usize::MAX] }
+        factorization.hollow_pixels(v, &self.slices, holes, |[some, all]| {
+            if some.start < asked.end && asked.start < some.end {
+                self.holes.push([some, all]);
+            }
+        });
+        let everything = [0..usize::MAX, 0..usize::MAX];
+        self.left = if by_planes { factorization.clipped_pixels(v, &self.slices, planes) } else { everything };
+        let [_, whole] = &self.left;
+        !self.holes.is_empty() || whole.start > asked.start || whole.end < asked.end
     }
 
     /// What is left, by word.

@@ -102,8 +102,9 @@ impl<L: Lattice, V: VoxelSource, M: Shader> Voxels<'_, L, V, M> {
 
 /// Whether clipping leaves all of a pixel's ray between two slices; `None` where it leaves nothing.
 fn clipped(f: &Factorization, [u, v]: [usize; 2], slices: [f64; 2]) -> Option<bool> {
-    let [mut some, mut whole] = f.clipped_pixels(v, slices, Halves::ALL).map(|pixels| pixels.contains(&u));
-    f.hollow_pixels(v, slices, Holes::ALL, |hollow| {
+    let planes = f.planes(slices);
+    let [mut some, mut whole] = f.clipped_pixels(v, &planes, Halves::ALL).map(|pixels| pixels.contains(&u));
+    f.hollow_pixels(v, &planes, Holes::ALL, |hollow| {
         let [touched, gone] = hollow.map(|pixels| pixels.contains(&u));
         some &= !gone;
         whole &= !touched;

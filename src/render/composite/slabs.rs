@@ -289,7 +289,7 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
                     }
                 };
                 // And clipping leaves something of them.
-                any && (!clipped.enter_scanline(f, v)
+                any && (!clipped.enter_scanline(f, v, &pixels.filled())
                     || !clipped.find::<W>(f, v, scanline.non_opaque, pixels.filled())
                     || pixels.keep(clipped.open(), &(0..usize::MAX)))
             };

@@ -186,9 +186,9 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
             if !touched.find::<W>(marks.0, marks.1, &Open { words: scanline.non_opaque, ..lies }) {
                 continue;
             }
-            if CARE && clipped.enter_scanline(f, v) {
-                let (first, (_, words)) = (first_u / WORD, touched.words());
-                let asked = first + words.start..first + words.end + 1;
+            let (first, (_, words)) = (first_u / WORD, touched.words());
+            let asked = first + words.start..first + words.end + 1;
+            if CARE && clipped.enter_scanline(f, v, &asked) {
                 let takes = clipped.find::<W>(f, v, scanline.non_opaque, asked);
                 if takes && !touched.keep(&Open { words: clipped.open(), ..lies }) {
                     continue;
