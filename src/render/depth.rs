@@ -15,6 +15,7 @@ mod limits;
 mod surface;
 mod window;
 
+use std::array::from_fn;
 use std::fmt;
 use std::ops::Range;
 use std::sync::atomic::AtomicUsize;
@@ -27,18 +28,13 @@ use xxhash_rust::xxh3::xxh3_128;
 use super::awake;
 use super::view::View;
 use crate::simd::masks::WORD;
-use crate::simd::wide::{LANES, Lanes, Wide};
+use crate::simd::wide::{CellRow, INTEGER, LANES, Lanes, MANTISSA, Wide};
 use crate::simd::{self, Kernel};
 pub use inverse_warp::InverseWarp;
 pub use limits::{Hole, Limits, Seen, SeenScanline, Stretch};
 use surface::{goes_on, smooth};
 pub use window::NoWindowDepths;
 use window::{Ahead, Distances};
-
-/// Added to a number of 0 to 2^51, rounds it to an integer and leaves that in the lowest bits.
-const INTEGER: f64 = (1u64 << 52) as f64;
-
-type Doubles = [f64; LANES];
 
 /// Rows that are told together.
 const BAND_HEIGHT: usize = 16;
@@ -158,7 +154,7 @@ impl SceneDepth {
             return f32::INFINITY;
         }
         let [(x, fx), (y, fy)] = [0, 1].map(|axis| cell(at[axis], &self.window[axis]));
-        let pixel = y as usize * self.window[0].len() + x as usize;
+        let pixel = y * self.window[0].len() + x;
         let (right, below) = self.ahead();
         if self.smooth[pixel] {
             let get = |ahead: usize| self.distances[pixel + ahead];
@@ -172,26 +168,22 @@ impl SceneDepth {
 
     /// [`Self::between`] side by side.
     #[inline(always)]
-    fn between_all<W: Wide>(&self, x: &Doubles, y: &Doubles) -> Lanes {
-        let (mut pixels, mut fx, mut fy) = ([0; LANES], [0.0; LANES], [0.0; LANES]);
-        let [columns, rows] = &self.window;
-        let width = columns.len() as u32;
-        for lane in 0..LANES {
-            let (column, along) = cell(x[lane], columns);
-            let (row, across) = cell(y[lane], rows);
-            pixels[lane] = whole(row).wrapping_mul(width).wrapping_add(whole(column));
-            (fx[lane], fy[lane]) = (along, across);
-        }
+    fn between_all<W: Wide>(&self, x: &Lanes, y: &Lanes) -> Lanes {
         let (right, below) = self.ahead();
-        let mut distances = [0.0; LANES];
         if right == 0 || below == 0 {
             // There are no four around.
-            for lane in 0..LANES {
-                distances[lane] = self.between(DVec2::new(x[lane], y[lane]));
-            }
-            return distances;
+            return from_fn(|lane| self.between(DVec2::new(x[lane].into(), y[lane].into())));
         }
-        let between = W::bilinear(&self.distances, columns.len(), &pixels, [&fx, &fy]);
+        let [(columns, fx), (rows, fy)] = [(x, &self.window[0]), (y, &self.window[1])].map(|(at, pixels)| {
+            let [low, high] = [pixels.start as f32 + 0.5, pixels.end as f32 - 0.5];
+            let [cells, fractions] = W::cells(at, &CellRow { low, high, origin: low, last: (pixels.len() - 2) as f32 });
+            (cells.map(whole), fractions)
+        });
+        let (width, mut pixels, mut distances) = (self.window[0].len() as u32, [0; LANES], [0.0; LANES]);
+        for lane in 0..LANES {
+            pixels[lane] = rows[lane].wrapping_mul(width).wrapping_add(columns[lane]);
+        }
+        let between = W::bilinear(&self.distances, self.window[0].len(), &pixels, [&fx, &fy]);
         let mut smooth = [false; LANES];
         for lane in 0..LANES {
             smooth[lane] = self.smooth[pixels[lane] as usize];
@@ -217,23 +209,17 @@ impl SceneDepth {
 
 /// Of some `pixels` along an axis of a picture, the first of two centres around a coordinate, and how far from it to the next; of two cells
 /// that meet there, either.
-#[inline(always)]
-fn cell(at: f64, pixels: &Range<usize>) -> (f64, f32) {
-    let last = (pixels.len() - 1) as f64;
-    let at = at - (pixels.start as f64 + 0.5);
-    let at = if at > last { last } else { at };
-    let at = if at > 0.0 { at } else { 0.0 };
-    let middle = if at > 0.5 { at - 0.5 } else { 0.0 };
-    let first = (middle + INTEGER) - INTEGER;
-    let last_first = (last - 1.0).max(0.0);
-    let first = if first < last_first { first } else { last_first };
-    (first, (at - first) as f32)
+fn cell(at: f64, pixels: &Range<usize>) -> (usize, f32) {
+    let last = pixels.len() - 1;
+    let at = (at - (pixels.start as f64 + 0.5)).clamp(0.0, last as f64);
+    let first = (at as usize).min(last.saturating_sub(1));
+    (first, (at - first as f64) as f32)
 }
 
-/// A whole number from 0 to 2^32.
+/// A whole number from 0 to 2^22.
 #[inline(always)]
-fn whole(number: f64) -> u32 {
-    (number + INTEGER).to_bits() as u32
+fn whole(number: f32) -> u32 {
+    (number + INTEGER).to_bits() & MANTISSA
 }
 
 /// Columns and rows that hold all numbers but `nothing`, and one more on each side where there is one.

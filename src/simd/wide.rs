@@ -19,10 +19,10 @@ pub type Lanes = [f32; LANES];
 pub type Indices = [u32; LANES];
 
 /// Added to a number of 0 to 2^22, rounds it to an integer, tie to even, and leaves that in the lowest bits.
-const INTEGER: f32 = 8_388_608.0;
+pub const INTEGER: f32 = 8_388_608.0;
 
 /// What lies in the lowest bits of such a sum.
-const MANTISSA: u32 = 0x7f_ffff;
+pub const MANTISSA: u32 = 0x7f_ffff;
 
 /// Added to a position, rounds it to 2^-10 and leaves it as an integer in the lowest bits: between
 /// 2^13 and 2^14 neighbouring floats are 2^-10 apart.

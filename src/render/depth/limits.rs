@@ -201,7 +201,9 @@ impl Stretch {
 impl Limits {
     /// What scanlines see, so many of them.
     pub fn new(height: usize, scanline: impl Fn(usize) -> SeenScanline + Sync + Send) -> Self {
-        let scanlines: Vec<_> = (0..height).into_par_iter().with_min_len(GROUP).map(scanline).collect();
+        // In small parts: much may meet few of them.
+        let all = (0..height).into_par_iter().with_min_len(GROUP / 2).with_max_len(GROUP);
+        let scanlines: Vec<_> = all.map(scanline).collect();
         let group = |scanlines: &[SeenScanline]| {
             let both = scanlines.iter().map(|scanline| [scanline.some, scanline.whole]);
             both.reduce(|[some, whole], [other, another]| {

@@ -261,7 +261,7 @@ mod tests {
     #[test]
     fn a_ball_meets_few_pixels_in_vain() {
         let ball = Ball::new(DVec3::new(30.3, 31.2, 30.4), 20.7);
-        let shape = Convex::new(&Clip { halves: vec![], balls: vec![ball.clone()] });
+        let shape = Convex::new(&Clip { halves: vec![], balls: vec![ball] });
         let (mut told, mut met) = (0, 0);
         for k in 8..53 {
             let slices = [0.0, 1.0].map(|behind| {
@@ -285,7 +285,7 @@ mod tests {
             v in 0usize..24,
         ) {
             let ball = Ball::new(centre.into(), radius);
-            let shape = Convex::new(&Clip { halves: vec![], balls: vec![ball.clone()] });
+            let shape = Convex::new(&Clip { halves: vec![], balls: vec![ball] });
             let lattices = lattices.map(|(offset, scale)| Lattice { offset: DVec2::from(offset), scale });
             let slices = [Plane { lattice: lattices[0], k: 7.0 }, Plane { lattice: lattices[1], k: 8.0 }];
             let [some, whole] = shape.pixels(v, &slices, 24, Halves::ALL);
