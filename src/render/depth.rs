@@ -174,14 +174,15 @@ impl SceneDepth {
             // There are no four around.
             return from_fn(|lane| self.between(DVec2::new(x[lane].into(), y[lane].into())));
         }
-        let [(columns, fx), (rows, fy)] = [(x, &self.window[0]), (y, &self.window[1])].map(|(at, pixels)| {
-            let [low, high] = [pixels.start as f32 + 0.5, pixels.end as f32 - 0.5];
-            let [cells, fractions] = W::cells(at, &CellRow { low, high, origin: low, last: (pixels.len() - 2) as f32 });
-            (cells.map(whole), fractions)
+        let [columns, rows] = [0, 1].map(|axis| {
+            let Range { start, end } = self.window[axis];
+            let low = start as f32 + 0.5;
+            CellRow { low, high: end as f32 - 0.5, origin: low, last: (end - start - 2) as f32 }
         });
+        let ([column, fx], [row, fy]) = (W::cells(x, &columns), W::cells(y, &rows));
         let (width, mut pixels, mut distances) = (self.window[0].len() as u32, [0; LANES], [0.0; LANES]);
         for lane in 0..LANES {
-            pixels[lane] = rows[lane].wrapping_mul(width).wrapping_add(columns[lane]);
+            pixels[lane] = whole(row[lane]).wrapping_mul(width).wrapping_add(whole(column[lane]));
         }
         let between = W::bilinear(&self.distances, self.window[0].len(), &pixels, [&fx, &fy]);
         let mut smooth = [false; LANES];
