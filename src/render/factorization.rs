@@ -21,6 +21,7 @@
 
 mod convex;
 mod perspective;
+mod rows;
 #[cfg(test)]
 mod tests;
 
@@ -35,7 +36,8 @@ use super::regions::MAX_REGIONS;
 use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
 use convex::Convex;
-pub use convex::{Halves, Meeting, Plane};
+pub use convex::{Halves, Meeting};
+pub use rows::{Plane, Spans};
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
 pub const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
@@ -360,23 +362,26 @@ impl Factorization {
         slices.map(|k| Plane { lattice: self.lattice(k), k })
     }
 
-    /// Pixels u of scanline `v` of which clipping by some half-spaces may leave something between two slices (in the order of the walk), and
-    /// those of which it leaves all, but for holes.
+    /// Pixels u of `N` scanlines from `v` on of which clipping by some half-spaces, and by balls, may leave something between two slices (in the
+    /// order of the walk), and those of which it leaves all, but for holes.
     #[inline(always)]
-    pub fn clipped_pixels(&self, v: usize, slices: &[Plane; 2], halves: Halves) -> [Range<usize>; 2] {
-        if self.clip.is_empty() {
-            return [0..usize::MAX, 0..usize::MAX];
-        }
-        self.clip.pixels(v, slices, self.size[0], halves)
+    pub fn clipped_pixels<const N: usize>(&self, v: usize, slices: &[Plane; 2], halves: Halves) -> [Spans<N>; 2] {
+        self.clip.pixels(v, slices, halves)
     }
 
-    /// Finds for each hole of some the pixels u of scanline `v` of which it may take something between two slices, and those of
+    /// Finds for each hole of some the pixels u of `N` scanlines from `v` on of which it may take something between two slices, and those of
     /// which it takes all.
     #[inline(always)]
-    pub fn hollow_pixels(&self, v: usize, slices: &[Plane; 2], which: Holes, mut found: impl FnMut([Range<usize>; 2])) {
+    pub fn hollow_pixels<const N: usize>(
+        &self,
+        v: usize,
+        slices: &[Plane; 2],
+        which: Holes,
+        mut found: impl FnMut([Spans<N>; 2]),
+    ) {
         for (n, hole) in self.holes.iter().enumerate() {
             if which.0 >> n & 1 == 1 {
-                found(hole.pixels(v, slices, self.size[0], Halves::ALL));
+                found(hole.pixels(v, slices, Halves::ALL));
             }
         }
     }

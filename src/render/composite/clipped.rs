@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::{WORD, below};
-use crate::render::factorization::{Clipping, Factorization, Plane};
+use super::{BAND_HEIGHT, WORD, below};
+use crate::render::factorization::{Clipping, Factorization, Plane, Spans};
 use crate::render::intermediate::Band;
 use crate::render::simd::masks::Masks;
 
@@ -18,6 +18,13 @@ pub struct ClippedPixels {
     /// The slices, and where they are, from the front.
     slices: [Plane; 2],
     positions: [f32; 2],
+    /// The first of the scanlines, and whether it is known what shapes make of them.
+    entered: usize,
+    is_told: bool,
+    /// Pixels of them of which clip planes and balls leave something, and those of which they leave all.
+    left: [Spans<BAND_HEIGHT>; 2],
+    /// Pixels of which a hole may take something, and those of which it takes all.
+    holes: Vec<[Spans<BAND_HEIGHT>; 2]>,
     /// True where shapes may take something of the scanline.
     by_shapes: bool,
     /// True where rays of it end or begin between the slices.
@@ -29,10 +36,9 @@ pub struct ClippedPixels {
     /// Those of them of which not all is left, and whether there are any.
     cut: Vec<u64>,
     cuts_any: bool,
-    /// Pixels of which clip planes and balls leave something, and those of which they leave all.
-    left: [Range<usize>; 2],
-    /// Pixels of which a hole may take something, and those of which it takes all.
-    holes: Vec<[Range<usize>; 2]>,
+    /// Of the scanline: pixels of which something and those of which all is left by clip planes and balls, and what holes take.
+    within: [Range<usize>; 2],
+    taken: Vec<[Range<usize>; 2]>,
 }
 
 impl ClippedPixels {
@@ -47,9 +53,11 @@ impl ClippedPixels {
     /// For some scanlines between two slices in the order of the walk; false where nothing of them is left.
     #[inline(always)]
     pub fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
+        let first = vs.start;
         let clipping = factorization.clipping(vs, slices);
         self.clipping = clipping.unwrap_or_default();
         self.slices = factorization.planes(slices);
+        (self.entered, self.is_told) = (first, false);
         self.positions = slices.map(|k| factorization.position(k) as f32);
         clipping.is_some()
     }
@@ -112,10 +120,10 @@ impl ClippedPixels {
                     cut = !seen.whole;
                 }
                 if self.by_shapes {
-                    let [some, whole] = &self.left;
+                    let [some, whole] = &self.within;
                     left &= within(some, word);
                     cut |= !within(whole, word);
-                    for [some, all] in &self.holes {
+                    for [some, all] in &self.taken {
                         left &= !within(all, word);
                         cut |= within(some, word);
                     }
@@ -134,17 +142,28 @@ impl ClippedPixels {
     #[inline(always)]
     fn shapes_take(&mut self, factorization: &Factorization, v: usize, asked: &Range<usize>) -> bool {
         let Clipping { by_planes, planes, holes, .. } = self.clipping;
-        let asked = asked.start * WORD..asked.end.saturating_mul(WORD).min(factorization.size[0]);
-        self.holes.clear();
-        factorization.hollow_pixels(v, &self.slices, holes, |[some, all]| {
-            if some.start < asked.end && asked.start < some.end {
-                self.holes.push([some, all]);
+        if !std::mem::replace(&mut self.is_told, true) {
+            self.holes.clear();
+            factorization.hollow_pixels(self.entered, &self.slices, holes, |spans| self.holes.push(spans));
+            if by_planes {
+                self.left = factorization.clipped_pixels(self.entered, &self.slices, planes);
+            } else {
+                self.left = [Spans::ALL; 2];
             }
-        });
-        let everything = [0..usize::MAX, 0..usize::MAX];
-        self.left = if by_planes { factorization.clipped_pixels(v, &self.slices, planes) } else { everything };
-        let [_, whole] = &self.left;
-        !self.holes.is_empty() || whole.start > asked.start || whole.end < asked.end
+        }
+        let (row, width) = (v - self.entered, factorization.size[0]);
+        let asked = asked.start * WORD..asked.end.saturating_mul(WORD).min(width);
+        self.taken.clear();
+        for [some, all] in &self.holes {
+            let some = some.pixels(row, width);
+            if some.start < asked.end && asked.start < some.end {
+                self.taken.push([some, all.pixels(row, width)]);
+            }
+        }
+        let [some, whole] = &self.left;
+        self.within = [some.pixels(row, width), whole.pixels(row, width)];
+        let [_, whole] = &self.within;
+        !self.taken.is_empty() || whole.start > asked.start || whole.end < asked.end
     }
 
     /// What is left, by word.
