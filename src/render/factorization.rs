@@ -50,6 +50,10 @@ const AXIS_MARGIN: f64 = 1.0 + 1e-6;
 /// pixels by rounding only gets whole pixels, and the same voxels are inside the volume's box.
 const OFFSET_STEP: f64 = 1.0 / 16384.0;
 
+/// Parts of the way through the slices in which shapes are looked for, and scanlines that are taken together.
+const PARTS: usize = 8;
+const TOGETHER: usize = 16;
+
 /// Pixels of an intermediate image at most (1 GiB).
 const MAX_PIXELS: usize = 1 << 26;
 
@@ -384,6 +388,29 @@ impl Factorization {
                 found(hole.pixels(v, slices, Halves::ALL));
             }
         }
+    }
+
+    /// By scanline the pixels, and perhaps some beside them, with rays that meet one of some shapes (in voxel coordinates) among the slices.
+    pub fn pixels_that_meet<'a>(&self, shapes: impl Iterator<Item = &'a Clip>) -> Vec<Range<usize>> {
+        let [width, height] = self.size;
+        let shapes: Vec<_> = shapes.map(Convex::new).collect();
+        // The thinner what is looked at, the fewer are told in vain.
+        let at =
+            |part: usize| self.along(self.start + (self.layers() as f64 - self.start) * part as f64 / PARTS as f64);
+        let parts: Vec<_> = (0..PARTS).map(|part| self.planes([at(part), at(part + 1)])).collect();
+        let mut met = vec![[width, 0]; height];
+        for (group, met) in met.chunks_mut(TOGETHER).enumerate() {
+            for (shape, part) in shapes.iter().flat_map(|shape| parts.iter().map(move |part| (shape, part))) {
+                let [some, _] = shape.pixels::<TOGETHER>(group * TOGETHER, part, Halves::ALL);
+                for (row, met) in met.iter_mut().enumerate() {
+                    let Range { start, end } = some.pixels(row, width);
+                    if start < end {
+                        *met = [met[0].min(start.saturating_sub(1)), met[1].max((end + 1).min(width))];
+                    }
+                }
+            }
+        }
+        met.into_iter().map(|[start, end]| start.min(end)..end).collect()
     }
 
     /// What may clip pixels of some scanlines between two slices; `None` where nothing of any is left.

@@ -12,6 +12,7 @@
 //! the background through.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -63,6 +64,11 @@ pub(super) struct Which {
     before: u8,
     /// The region that they lie in; `None`: in none.
     pub within: Option<u8>,
+}
+
+impl Which {
+    /// What is before all regions.
+    const AROUND: Self = Self { before: 0, within: None };
 }
 
 /// What is shown in the pieces of a layer.
@@ -169,12 +175,14 @@ fn each_layer(shapes: &[Shape], start: DVec3, step: DVec3, span: [f64; 2], mut f
 /// The pieces of the rays of an intermediate image.
 pub(super) struct Layers {
     scanlines: Vec<Scanline>,
+    width: usize,
 }
 
-/// Pixel by pixel, front to back.
-#[derive(Default)]
+/// What is seen of its rays, front to back.
 struct Scanline {
-    /// The pixel, and what is seen there but for holes.
+    /// Of other pixels' rays all is, and lies in no region.
+    told: Range<usize>,
+    /// Of these, the pixel and what is seen there but for holes.
     pieces: Vec<(u32, Which, Stretch)>,
     holes: Vec<(Which, Hole)>,
 }
@@ -194,19 +202,24 @@ impl Layers {
         let world_from_voxel = factorization.world_from_voxel(volume);
         let shapes: Vec<_> = shapes.iter().map(|shape| shape.told_by(world_from_voxel)).collect();
         let [width, height] = factorization.size;
+        let met = factorization.pixels_that_meet(shapes.iter().map(|shape| &shape.clip));
         let last = factorization.layers() as f64 + 1.0;
         let scanline = |v: usize| {
             if cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
-            let mut found = Scanline { pieces: Vec::with_capacity(width), holes: vec![] };
+            let mut told = met[v].clone();
+            if let Some(ended) = depth.map(|depth| depth.may_end(v)).filter(|ended| !ended.is_empty()) {
+                told = if told.is_empty() { ended } else { told.start.min(ended.start)..told.end.max(ended.end) };
+            }
+            let mut found = Scanline { told, pieces: vec![], holes: vec![] };
             // Slices behind the front one: an eye among the slices may have passed that.
             let [[first, first_step], [second, second_step]] = [1.0, 2.0].map(|position| {
                 let k = factorization.along(position);
                 let [at, next] = [0.0, 1.0].map(|u| factorization.voxel_from_sheared(u, v as f64, k));
                 [at, next - at]
             });
-            for u in 0..width {
+            for u in found.told.clone() {
                 let [first, second] = [first + first_step * u as f64, second + second_step * u as f64];
                 let step = second - first;
                 let start = first - step;
@@ -228,7 +241,7 @@ impl Layers {
             Ok(found)
         };
         let scanlines = (0..height).into_par_iter().map(scanline).collect::<Result<_, _>>()?;
-        Ok(Self { scanlines })
+        Ok(Self { scanlines, width })
     }
 
     /// The layers there are, front to back.
@@ -236,7 +249,8 @@ impl Layers {
         let of_scanline = |scanline: &Scanline| {
             // Neighbours are mostly of the same.
             let changes = scanline.pieces.chunk_by(|a, b| a.1 == b.1);
-            changes.map(|pieces| pieces[0].1).collect::<BTreeSet<_>>()
+            let others = (scanline.told.len() < self.width).then_some(Which::AROUND);
+            changes.map(|pieces| pieces[0].1).chain(others).collect::<BTreeSet<_>>()
         };
         self.scanlines
             .par_iter()
@@ -247,16 +261,20 @@ impl Layers {
     /// What is seen of a layer behind an image: nothing where that is as opaque as `termination`.
     pub fn limits(&self, which: Which, image: &IntermediateImage, termination: f32) -> Limits {
         Limits::new(self.scanlines.len(), |v| {
-            let Scanline { pieces, holes } = &self.scanlines[v];
+            let Scanline { told, pieces, holes } = &self.scanlines[v];
             let seen =
                 pieces.iter().filter(|piece| piece.1 == which && image.opacity(piece.0 as usize, v) < termination);
             let seen: Vec<_> = seen.collect();
-            let pixels = match &seen[..] {
-                [] => 0..0,
-                [first, ..] => first.0 as usize..seen[seen.len() - 1].0 as usize + 1,
+            let (elsewhere, pixels) = match &seen[..] {
+                // Nothing is in front of it.
+                _ if which == Which::AROUND => (Stretch::ALL, told.clone()),
+                [] => (Stretch::NOTHING, 0..0),
+                [first, .., last] | [first @ last] => (Stretch::NOTHING, first.0 as usize..last.0 as usize + 1),
             };
             let holes = holes.iter().filter(|(of, _)| *of == which).map(|(_, hole)| *hole).collect();
-            SeenScanline::new(Stretch::NOTHING, pixels.clone(), holes, |from, to| {
+            SeenScanline::new(elsewhere, pixels.clone(), holes, |from, to| {
+                from.fill(Stretch::NOTHING.from);
+                to.fill(Stretch::NOTHING.to);
                 for &&(u, _, stretch) in &seen {
                     let at = u as usize - pixels.start;
                     (from[at], to[at]) = (stretch.from, stretch.to);
@@ -444,7 +462,7 @@ mod tests {
         );
         assert_eq!(pieces(&[cut_out(0.0, 30.0)]), []);
         // Pieces that look the same are of one layer.
-        let mut scanline = Scanline::default();
+        let mut scanline = Scanline { told: 0..0, pieces: vec![], holes: vec![] };
         for (within, span) in pieces(&shapes) {
             let [from, to] = span.map(|at| at as f32);
             scanline.add(0, 7, within, Stretch { from, to });

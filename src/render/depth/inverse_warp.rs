@@ -78,6 +78,12 @@ impl<'a> InverseWarp<'a> {
         self.limits.at(u, v).to
     }
 
+    /// The pixels of scanline `v` with rays that may end.
+    pub fn may_end(&self, v: usize) -> Range<usize> {
+        let Range { start, end } = self.limits.scanline(v).told();
+        start..end.min(self.factorization.size[0])
+    }
+
     /// The final image's coordinates of a place on the intermediate one; `None` where that is behind the eye.
     #[inline(always)]
     pub fn image_point(&self, sheared: DVec2) -> Option<DVec2> {

@@ -177,6 +177,7 @@ impl SeenScanline {
 }
 
 impl Stretch {
+    pub const ALL: Self = Self { from: f32::NEG_INFINITY, to: f32::INFINITY };
     pub const NOTHING: Self = Self { from: f32::INFINITY, to: f32::NEG_INFINITY };
 
     /// True where it holds nothing.

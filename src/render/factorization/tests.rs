@@ -1,5 +1,5 @@
 use super::*;
-use crate::render::{Camera, LookAt, Orbit, Projection};
+use crate::render::{Ball, Camera, LookAt, Orbit, Projection};
 use crate::volume::phantom;
 
 /// Where the ray of final pixel coordinates meets slice `k`, in permuted voxel coordinates.
@@ -168,5 +168,39 @@ fn the_front_slice_has_scale_one_and_lies_on_the_lattice() {
         assert_eq!(f.lattice(front as f64).scale, 1.0);
         assert_eq!(f.lattice(front as f64).offset, f.lattice(front as f64).offset.round());
         assert!((0..f.dims[2]).all(|k| f.lattice(k as f64).scale >= 1.0));
+    }
+}
+
+#[test]
+fn rays_that_meet_a_shape_are_among_those_told_for_it() {
+    let volume = phantom::uniform([30, 40, 50], 1.0);
+    let ball = Clip { halves: vec![], balls: vec![Ball::new(volume.centre() + DVec3::new(4.0, -6.0, 9.0), 8.0)] };
+    let corners = |n: u32| DVec3::new(f64::from(n & 1), f64::from(n >> 1 & 1), f64::from(n >> 2)) * 12.0;
+    let points: Vec<_> = (0..8).map(|n| volume.centre() + corners(n)).collect();
+    let hull = Clip::hull(&points).unwrap();
+    for step in 0..24 {
+        for (projection, fov_y) in [(Projection::Parallel, 30.0), (Projection::Perspective, 50.0)] {
+            let view = View::new(&orbit(step, projection, fov_y), volume.centre(), volume.radius(), 100, 75).unwrap();
+            for f in &Factorization::parts(&view, &volume).unwrap() {
+                let shapes = [&ball, &hull].map(|shape| shape.told_by(f.world_from_voxel(&volume)));
+                for shape in &shapes {
+                    let (told, [width, height]) = (f.pixels_that_meet([shape].into_iter()), f.size);
+                    let (mut met, mut among) = (0, 0);
+                    for (v, told) in told.iter().enumerate() {
+                        among += told.len();
+                        for u in 0..width {
+                            let ends = [f.start, f.layers() as f64].map(|at| f.along(at));
+                            let [from, to] = ends.map(|k| f.voxel_from_sheared(u as f64, v as f64, k));
+                            let [enter, leave] = shape.span(from, to - from, [0.0, 1.0]);
+                            if enter < leave {
+                                met += 1;
+                                assert!(told.contains(&u), "pixel ({u}, {v}) of {told:?}, {projection:?} {step}");
+                            }
+                        }
+                    }
+                    assert!(met > 0 && among < 3 * met + height, "{among} for {met}, {projection:?} {step}");
+                }
+            }
+        }
     }
 }
