@@ -1,11 +1,11 @@
 //! The stages before a frame, by the papers' words: gradients, octree, summed-area table and run
-//! lengths; and the encoding of the finished picture after it.
+//! lengths; the inverse warp of a depth buffer; and the encoding of the finished picture after it.
 
 use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
-use glam::Vec4;
+use glam::{DVec2, Vec4};
 use shearwarp::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, SlabTables, Slabs};
 use shearwarp::classify::summed_area::SummedAreaTable;
 use shearwarp::classify::{
@@ -13,7 +13,9 @@ use shearwarp::classify::{
     cells, presets,
 };
 use shearwarp::encode::{Format, encode};
-use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Quality, Scene, Settings, View, render};
+use shearwarp::render::depth::{InverseWarp, SceneDepth};
+use shearwarp::render::factorization::Factorization;
+use shearwarp::render::{Algorithm, Camera, Cancel, Orbit, Projection, Quality, Scene, Settings, View, render};
 use shearwarp::volume::{PreparedVolume, phantom};
 
 fn stages(criterion: &mut Criterion) {
@@ -123,5 +125,28 @@ fn slabs(table: impl Slabs, codes: &[f32]) -> Vec4 {
     sum
 }
 
-criterion_group!(benches, stages, preintegration);
+/// A depth buffer in which every pixel meets something, a slanted plane: its distances, and where the rays of an intermediate image end.
+fn depth_buffer(criterion: &mut Criterion) {
+    let volume = phantom::head();
+    for (name, projection) in [("parallel", Projection::Parallel), ("perspective", Projection::Perspective)] {
+        let orbit = Orbit { projection, azimuth: 30.0, elevation: 10.0, zoom: 1.3, ..Orbit::default() };
+        let view =
+            View::new(&Camera::Orbit(orbit), volume.centre(), volume.radius(), 512, 512).expect("an orbit is sound");
+        let distance = |at: usize| {
+            let ray = view.ray(DVec2::new((at % 512) as f64 + 0.5, (at / 512) as f64 + 0.5));
+            (volume.centre() - ray.origin).dot(ray.direction) + (at % 512) as f64 / 8.0 - 32.0
+        };
+        let distances: Vec<f32> = (0..512 * 512).map(|at| distance(at) as f32).collect();
+        criterion.bench_function(&format!("depth_buffer/surfaces, {name}"), |b| {
+            b.iter_batched(|| distances.clone(), |distances| SceneDepth::new(&view, distances), BatchSize::LargeInput);
+        });
+        let view = view.clone().ending_at(Arc::new(SceneDepth::new(&view, distances)));
+        let parts = Factorization::parts(&view, &volume).expect("the view can be rendered");
+        criterion.bench_function(&format!("depth_buffer/inverse warp, {name}"), |b| {
+            b.iter(|| parts.iter().filter_map(|part| InverseWarp::of(&view, &volume, part)).count());
+        });
+    }
+}
+
+criterion_group!(benches, stages, preintegration, depth_buffer);
 criterion_main!(benches);
