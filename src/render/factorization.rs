@@ -37,7 +37,7 @@ use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
 use convex::Convex;
 pub use convex::{Halves, Meeting};
-pub use rows::{Plane, Spans};
+pub use rows::{SlicePlane, Spans};
 
 /// For each principal axis the volume's axes that i, j, k stand for, as the encodings store them.
 pub const PERMUTATIONS: [[usize; 3]; 3] = [[1, 2, 0], [0, 2, 1], [0, 1, 2]];
@@ -362,14 +362,14 @@ impl Factorization {
 
     /// Two slices, which may be between slices of voxels, and where pixels meet them.
     #[inline(always)]
-    pub fn planes(&self, slices: [f64; 2]) -> [Plane; 2] {
-        slices.map(|k| Plane { lattice: self.lattice(k), k })
+    pub fn slice_planes(&self, slices: [f64; 2]) -> [SlicePlane; 2] {
+        slices.map(|k| SlicePlane { lattice: self.lattice(k), k })
     }
 
     /// Pixels u of `N` scanlines from `v` on of which clipping by some half-spaces, and by balls, may leave something between two slices (in the
     /// order of the walk), and those of which it leaves all, but for holes.
     #[inline(always)]
-    pub fn clipped_pixels<const N: usize>(&self, v: usize, slices: &[Plane; 2], halves: Halves) -> [Spans<N>; 2] {
+    pub fn clipped_pixels<const N: usize>(&self, v: usize, slices: &[SlicePlane; 2], halves: Halves) -> [Spans<N>; 2] {
         self.clip.pixels(v, slices, halves)
     }
 
@@ -379,7 +379,7 @@ impl Factorization {
     pub fn hollow_pixels<const N: usize>(
         &self,
         v: usize,
-        slices: &[Plane; 2],
+        slices: &[SlicePlane; 2],
         which: Holes,
         mut found: impl FnMut([Spans<N>; 2]),
     ) {
@@ -397,7 +397,7 @@ impl Factorization {
         // The thinner what is looked at, the fewer are told in vain.
         let at =
             |part: usize| self.along(self.start + (self.layers() as f64 - self.start) * part as f64 / PARTS as f64);
-        let parts: Vec<_> = (0..PARTS).map(|part| self.planes([at(part), at(part + 1)])).collect();
+        let parts: Vec<_> = (0..PARTS).map(|part| self.slice_planes([at(part), at(part + 1)])).collect();
         let mut met = vec![[width, 0]; height];
         for (group, met) in met.chunks_mut(TOGETHER).enumerate() {
             for (shape, part) in shapes.iter().flat_map(|shape| parts.iter().map(move |part| (shape, part))) {

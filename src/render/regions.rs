@@ -212,7 +212,7 @@ impl Layers {
             if let Some(ended) = depth.map(|depth| depth.may_end(v)).filter(|ended| !ended.is_empty()) {
                 told = if told.is_empty() { ended } else { told.start.min(ended.start)..told.end.max(ended.end) };
             }
-            let mut found = Scanline { told, pieces: vec![], holes: vec![] };
+            let mut found = Scanline { pieces: Vec::with_capacity(told.len()), holes: vec![], told };
             // Slices behind the front one: an eye among the slices may have passed that.
             let [[first, first_step], [second, second_step]] = [1.0, 2.0].map(|position| {
                 let k = factorization.along(position);

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::{BAND_HEIGHT, WORD, below};
-use crate::render::factorization::{Clipping, Factorization, Plane, Spans};
+use crate::render::factorization::{Clipping, Factorization, SlicePlane, Spans};
 use crate::render::intermediate::Band;
 use crate::render::simd::masks::Masks;
 
@@ -16,7 +16,7 @@ pub struct ClippedPixels {
     ended: Vec<Option<f32>>,
     clipping: Clipping,
     /// The slices, and where they are, from the front.
-    slices: [Plane; 2],
+    slices: [SlicePlane; 2],
     positions: [f32; 2],
     /// The first of the scanlines, and whether it is known what shapes make of them.
     entered: usize,
@@ -56,7 +56,7 @@ impl ClippedPixels {
         let first = vs.start;
         let clipping = factorization.clipping(vs, slices);
         self.clipping = clipping.unwrap_or_default();
-        self.slices = factorization.planes(slices);
+        self.slices = factorization.slice_planes(slices);
         (self.entered, self.is_told) = (first, false);
         self.positions = slices.map(|k| factorization.position(k) as f32);
         clipping.is_some()

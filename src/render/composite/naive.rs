@@ -102,7 +102,7 @@ impl<L: Lattice, V: VoxelSource, M: Shader> Voxels<'_, L, V, M> {
 
 /// Whether clipping leaves all of a pixel's ray between two slices; `None` where it leaves nothing.
 fn clipped(f: &Factorization, [u, v]: [usize; 2], slices: [f64; 2]) -> Option<bool> {
-    let planes = f.planes(slices);
+    let planes = f.slice_planes(slices);
     let [mut some, mut whole] =
         f.clipped_pixels::<1>(v, &planes, Halves::ALL).map(|spans| spans.pixels(0, f.size[0]).contains(&u));
     f.hollow_pixels::<1>(v, &planes, Holes::ALL, |hollow| {

@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-use super::rows::{Plane, Round, Rows, Spans};
+use super::rows::{Round, Rows, SlicePlane, Spans};
 use crate::render::view::{Ball, Clip, HalfSpace};
 
 /// Voxels by which rounding may be off.
@@ -74,7 +74,7 @@ impl Convex {
     /// Of `N` scanlines from `v` on the pixels that may meet it between two slices; and those that are within it all the way, since it is
     /// convex. Of half-spaces only those are looked at that `cut` ([`Self::cutting`]).
     #[inline(always)]
-    pub fn pixels<const N: usize>(&self, v: usize, slices: &[Plane; 2], cut: Halves) -> [Spans<N>; 2] {
+    pub fn pixels<const N: usize>(&self, v: usize, slices: &[SlicePlane; 2], cut: Halves) -> [Spans<N>; 2] {
         let (rows, mut spans) = (Rows::new(v, slices), [Spans::ALL; 2]);
         for half in cut.of(&self.clip.halves) {
             rows.cut(half, &mut spans);
@@ -142,8 +142,8 @@ mod tests {
             let shape = Convex::new(&Clip { halves: halves.collect(), balls: balls.collect() });
             let (width, vs) = (24, first..first + 4);
             let lattices = lattices.map(|(offset, scale)| Lattice { offset: DVec2::from(offset), scale });
-            let slices = [Plane { lattice: lattices[0], k: 7.0 }, Plane { lattice: lattices[1], k: 8.0 }];
-            let [a, b] = slices.map(|Plane { lattice: Lattice { offset, scale }, k }| {
+            let slices = [SlicePlane { lattice: lattices[0], k: 7.0 }, SlicePlane { lattice: lattices[1], k: 8.0 }];
+            let [a, b] = slices.map(|SlicePlane { lattice: Lattice { offset, scale }, k }| {
                 [(0, vs.start), (width - 1, vs.end - 1)].map(|(u, v)| (offset + DVec2::new(u as f64, v as f64) * scale).extend(k))
             });
             let cut = shape.cutting([a[0].min(b[0]), a[1].max(b[1])]);

@@ -1,6 +1,6 @@
 //! Scanlines side by side: what they meet between two slices.
 //!
-//! Each step is taken for all of them before the next one, so that the compiler can take four at once.
+//! What is told of one is told of all, in one loop without a branch, so that the compiler can take four at once.
 
 use std::ops::Range;
 
@@ -9,17 +9,17 @@ use glam::{DAffine3, DVec3};
 use super::Lattice;
 use crate::render::view::{Ball, HalfSpace};
 
-/// Of a slope's square: below that a scanline no more than touches a ball.
+/// A scanline with half a chord of less than that, squared, of a ball of radius 1, no more than touches it.
 const TOUCH: f64 = 1e-9;
 
 /// A slice, and where pixels meet it.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Plane {
+pub struct SlicePlane {
     pub lattice: Lattice,
     pub k: f64,
 }
 
-/// From where to where something is on each of `N` scanlines, in pixels; where it is not, from beyond where it is to.
+/// From where to where something is on each of `N` scanlines, in pixels; nowhere where `low` is above `high`.
 #[derive(Clone, Debug)]
 pub struct Spans<const N: usize> {
     low: [f64; N],
@@ -66,9 +66,9 @@ pub struct Rows<const N: usize> {
 impl<const N: usize> Rows<N> {
     /// From scanline `v` on.
     #[inline(always)]
-    pub fn new(v: usize, slices: &[Plane; 2]) -> Self {
+    pub fn new(v: usize, slices: &[SlicePlane; 2]) -> Self {
         let mut j = [[0.0; N]; 2];
-        for (j, Plane { lattice, .. }) in j.iter_mut().zip(slices) {
+        for (j, SlicePlane { lattice, .. }) in j.iter_mut().zip(slices) {
             for (row, j) in j.iter_mut().enumerate() {
                 *j = lattice.offset.y + lattice.scale * f64::from((v + row) as i32);
             }
@@ -222,9 +222,10 @@ mod tests {
     use super::*;
 
     /// Whether any point, and whether every point, of some along a pixel's ray between two slices is in a ball.
-    fn meets(ball: &Ball, [u, v]: [usize; 2], slices: &[Plane; 2]) -> [bool; 2] {
-        let [from, to] = slices
-            .map(|Plane { lattice, k }| (lattice.offset + DVec2::new(u as f64, v as f64) * lattice.scale).extend(k));
+    fn meets(ball: &Ball, [u, v]: [usize; 2], slices: &[SlicePlane; 2]) -> [bool; 2] {
+        let [from, to] = slices.map(|SlicePlane { lattice, k }| {
+            (lattice.offset + DVec2::new(u as f64, v as f64) * lattice.scale).extend(k)
+        });
         let mut inside = (0..=64).map(|n| {
             ball.unit_from_space().transform_point3(from.lerp(to, f64::from(n) / 64.0)).length() <= 1.0 - 1e-9
         });
@@ -232,7 +233,7 @@ mod tests {
         inside.fold([first; 2], |[some, whole], inside| [some || inside, whole && inside])
     }
 
-    fn met_by<const N: usize>(ball: &Ball, v: usize, slices: &[Plane; 2]) -> [Spans<N>; 2] {
+    fn met_by<const N: usize>(ball: &Ball, v: usize, slices: &[SlicePlane; 2]) -> [Spans<N>; 2] {
         let mut spans = [Spans::ALL; 2];
         Round::new(ball).cut(&Rows::new(v, slices), &mut spans);
         spans
@@ -245,7 +246,7 @@ mod tests {
         for k in 8..53 {
             let slices = [0.0, 1.0].map(|behind| {
                 let k = f64::from(k) + behind;
-                Plane { lattice: Lattice { offset: DVec2::new(0.4 * k, -0.3 * k), scale: 1.0 + 0.01 * behind }, k }
+                SlicePlane { lattice: Lattice { offset: DVec2::new(0.4 * k, -0.3 * k), scale: 1.0 + 0.01 * behind }, k }
             });
             let spans = met_by::<80>(&ball, 0, &slices);
             for v in 0..80 {
@@ -266,7 +267,7 @@ mod tests {
         ) {
             let ball = Ball::new(centre.into(), radius);
             let lattices = lattices.map(|(offset, scale)| Lattice { offset: DVec2::from(offset), scale });
-            let slices = [Plane { lattice: lattices[0], k: 7.0 }, Plane { lattice: lattices[1], k: 8.0 }];
+            let slices = [SlicePlane { lattice: lattices[0], k: 7.0 }, SlicePlane { lattice: lattices[1], k: 8.0 }];
             let [some, whole] = met_by::<1>(&ball, v, &slices).map(|spans| spans.pixels(0, 24));
             for u in 0..24 {
                 let [is_met, is_held] = meets(&ball, [u, v], &slices);
