@@ -86,13 +86,13 @@ pub struct Avx2;
 
 /// The lesser of two numbers: one instruction, where [`f32::min`] has to look for what is no number.
 #[inline(always)]
-pub fn least(a: f32, b: f32) -> f32 {
+pub fn least<T: PartialOrd>(a: T, b: T) -> T {
     if a < b { a } else { b }
 }
 
 /// The greater of two.
 #[inline(always)]
-pub fn most(a: f32, b: f32) -> f32 {
+pub fn most<T: PartialOrd>(a: T, b: T) -> T {
     if a > b { a } else { b }
 }
 

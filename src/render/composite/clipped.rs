@@ -36,6 +36,8 @@ pub struct ClippedPixels {
     /// Those of them of which not all is left, and whether there are any.
     cut: Vec<u64>,
     cuts_any: bool,
+    /// The words of the scanline that are asked for.
+    asked: Range<usize>,
     /// Of the scanline: pixels of which something and those of which all is left by clip planes and balls, and what holes take.
     within: [Range<usize>; 2],
     taken: Vec<[Range<usize>; 2]>,
@@ -62,15 +64,24 @@ impl ClippedPixels {
         clipping.is_some()
     }
 
-    /// For scanline `v`, one of those entered; true where pixels of the words `asked` for must be clipped ([`Self::find`]), else they are as they are.
+    /// For scanline `v`, one of those entered; true where pixels of the words `asked` for must be clipped ([`Self::find`]), else they are as they
+    /// are.
     #[inline(always)]
-    pub fn enter_scanline(&mut self, factorization: &Factorization, v: usize, asked: &Range<usize>) -> bool {
-        (self.by_limits, self.have_ended) = (false, false);
+    pub fn enter_scanline(
+        &mut self,
+        factorization: &Factorization,
+        v: usize,
+        asked: impl FnOnce() -> Range<usize>,
+    ) -> bool {
+        (self.by_shapes, self.by_limits, self.have_ended) = (self.clipping.by_shapes(), false, false);
         if let Some(limits) = factorization.limits().filter(|_| self.clipping.by_limits) {
             self.by_limits = limits.tells_apart(v, self.positions);
             self.have_ended = limits.end_between(v, self.ended[v - self.first], self.positions[0]);
         }
-        self.by_shapes = self.clipping.by_shapes() && self.shapes_take(factorization, v, asked);
+        if self.is_any() {
+            self.asked = asked();
+            self.by_shapes = self.by_shapes && self.shapes_take(factorization, v);
+        }
         self.is_any()
     }
 
@@ -81,15 +92,9 @@ impl ClippedPixels {
     }
 
     /// Clips the pixels of scanline `v`, the one entered, that are set in `open`; false where all of them are left. Nothing is behind those whose
-    /// rays have ended: they are not set any more. Nothing is told of words beside those `asked` for.
+    /// rays have ended: they are not set any more. Nothing is told of words beside those asked for.
     #[inline(always)]
-    pub fn find<W: Masks>(
-        &mut self,
-        factorization: &Factorization,
-        v: usize,
-        open: &mut [u64],
-        asked: Range<usize>,
-    ) -> bool {
+    pub fn find<W: Masks>(&mut self, factorization: &Factorization, v: usize, open: &mut [u64]) -> bool {
         let limits = factorization.limits().filter(|_| self.by_limits || self.have_ended);
         let positions = self.positions;
         if limits.is_some() {
@@ -103,10 +108,10 @@ impl ClippedPixels {
             // Which rays have ended is told once for all; others are as they are.
             Some(limits) if self.by_shapes => {
                 let told = limits.told_apart(v);
-                told.start.min(asked.start)..told.end.max(asked.end)
+                told.start.min(self.asked.start)..told.end.max(self.asked.end)
             }
             Some(limits) => limits.told_apart(v),
-            None => asked,
+            None => self.asked.clone(),
         };
         let (mut taken, mut any_cut) = (0, 0);
         for word in told.start..told.end.min(open.len()) {
@@ -138,9 +143,9 @@ impl ClippedPixels {
         taken != 0
     }
 
-    /// Finds what clip planes and balls leave of scanline `v`, and what holes take; false where these take nothing of the words `asked` for.
+    /// Finds what clip planes and balls leave of scanline `v`, and what holes take; false where these take nothing of the words asked for.
     #[inline(always)]
-    fn shapes_take(&mut self, factorization: &Factorization, v: usize, asked: &Range<usize>) -> bool {
+    fn shapes_take(&mut self, factorization: &Factorization, v: usize) -> bool {
         let Clipping { by_planes, planes, holes, .. } = self.clipping;
         if !std::mem::replace(&mut self.is_told, true) {
             self.holes.clear();
@@ -152,7 +157,7 @@ impl ClippedPixels {
             }
         }
         let (row, width) = (v - self.entered, factorization.size[0]);
-        let asked = asked.start * WORD..asked.end.saturating_mul(WORD).min(width);
+        let asked = self.asked.start * WORD..(self.asked.end * WORD).min(width);
         self.taken.clear();
         for [some, all] in &self.holes {
             let some = some.pixels(row, width);

@@ -192,9 +192,9 @@ impl Scratch {
         }
         let mut any = self.pixels.keep(scanline.non_opaque, &at.us);
         let f = at.factorization;
-        if any && self.clipped.enter_scanline(f, at.v, &self.pixels.filled()) {
-            any = !self.clipped.find::<W>(f, at.v, scanline.non_opaque, self.pixels.filled())
-                || self.pixels.keep(self.clipped.open(), &at.us);
+        if any && self.clipped.enter_scanline(f, at.v, || self.pixels.filled()) {
+            any =
+                !self.clipped.find::<W>(f, at.v, scanline.non_opaque) || self.pixels.keep(self.clipped.open(), &at.us);
         }
         if any {
             self.columns.fill(&at.along_u, &at.us);

@@ -289,8 +289,8 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
                     }
                 };
                 // And clipping leaves something of them.
-                any && (!clipped.enter_scanline(f, v, &pixels.filled())
-                    || !clipped.find::<W>(f, v, scanline.non_opaque, pixels.filled())
+                any && (!clipped.enter_scanline(f, v, || pixels.filled())
+                    || !clipped.find::<W>(f, v, scanline.non_opaque)
                     || pixels.keep(clipped.open(), &(0..usize::MAX)))
             };
             let next = next.as_ref().filter(|(_, vs)| vs.contains(&v) && have_begun(v));

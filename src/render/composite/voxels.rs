@@ -186,10 +186,12 @@ impl<P: Pixel, V: VoxelSource, M: Shader<Slice: SliceShader<Pixel = P>>> Voxels<
             if !touched.find::<W>(marks.0, marks.1, &Open { words: scanline.non_opaque, ..lies }) {
                 continue;
             }
-            let (first, (_, words)) = (first_u / WORD, touched.words());
-            let asked = first + words.start..first + words.end + 1;
-            if CARE && clipped.enter_scanline(f, v, &asked) {
-                let takes = clipped.find::<W>(f, v, scanline.non_opaque, asked);
+            let asked = || {
+                let (first, (_, words)) = (first_u / WORD, touched.words());
+                first + words.start..first + words.end + 1
+            };
+            if CARE && clipped.enter_scanline(f, v, asked) {
+                let takes = clipped.find::<W>(f, v, scanline.non_opaque);
                 if takes && !touched.keep(&Open { words: clipped.open(), ..lies }) {
                     continue;
                 }

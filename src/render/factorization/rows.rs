@@ -8,6 +8,7 @@ use glam::{DAffine3, DVec3};
 
 use super::Lattice;
 use crate::render::view::{Ball, HalfSpace};
+use crate::simd::wide::{least, most};
 
 /// A scanline with half a chord of less than that, squared, of a ball of radius 1, no more than touches it.
 const TOUCH: f64 = 1e-9;
@@ -200,18 +201,6 @@ impl Round {
             whole.keep(row, most(low_a, low_b), if is_held { least(high_a, high_b) } else { f64::NEG_INFINITY });
         }
     }
-}
-
-/// The lesser of two numbers: one instruction, where [`f64::min`] has to look for what is no number.
-#[inline(always)]
-fn least(a: f64, b: f64) -> f64 {
-    if a < b { a } else { b }
-}
-
-/// The greater of two.
-#[inline(always)]
-fn most(a: f64, b: f64) -> f64 {
-    if a > b { a } else { b }
 }
 
 #[cfg(test)]
