@@ -2,10 +2,27 @@
 
 use std::ops::Range;
 
+use super::mask::Mask;
 use super::{BAND_HEIGHT, WORD, below};
 use crate::render::factorization::{Clipping, Factorization, SlicePlane, Spans};
 use crate::render::intermediate::Band;
 use crate::render::simd::masks::Masks;
+
+/// What clips the scanlines of a band between two slices.
+#[derive(Clone, Debug, Default)]
+struct Slab {
+    clipping: Clipping,
+    /// The slices, and where they are, from the front.
+    slices: [SlicePlane; 2],
+    positions: [f32; 2],
+    /// The first of the scanlines, and whether it is known what shapes make of them.
+    first: usize,
+    is_told: bool,
+    /// Pixels of them of which clip planes and balls leave something, and those of which they leave all.
+    left: [Spans<BAND_HEIGHT>; 2],
+    /// Pixels of which a hole may take something, and those of which it takes all.
+    holes: Vec<[Spans<BAND_HEIGHT>; 2]>,
+}
 
 /// Pixels of a scanline, 64 a word.
 #[derive(Clone, Debug, Default)]
@@ -14,17 +31,9 @@ pub struct ClippedPixels {
     first: usize,
     /// By scanline how far from the front it is known which rays have ended.
     ended: Vec<Option<f32>>,
-    clipping: Clipping,
-    /// The slices, and where they are, from the front.
-    slices: [SlicePlane; 2],
-    positions: [f32; 2],
-    /// The first of the scanlines, and whether it is known what shapes make of them.
-    entered: usize,
-    is_told: bool,
-    /// Pixels of them of which clip planes and balls leave something, and those of which they leave all.
-    left: [Spans<BAND_HEIGHT>; 2],
-    /// Pixels of which a hole may take something, and those of which it takes all.
-    holes: Vec<[Spans<BAND_HEIGHT>; 2]>,
+    /// The slab that was entered, and the one behind it, where that was.
+    slab: Slab,
+    ahead: Slab,
     /// True where shapes may take something of the scanline.
     by_shapes: bool,
     /// True where rays of it end or begin between the slices.
@@ -43,6 +52,36 @@ pub struct ClippedPixels {
     taken: Vec<[Range<usize>; 2]>,
 }
 
+impl Slab {
+    /// Enters some scanlines between two slices; false where nothing of them is left.
+    #[inline(always)]
+    fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
+        let first = vs.start;
+        let clipping = factorization.clipping(vs, slices);
+        self.clipping = clipping.unwrap_or_default();
+        self.slices = factorization.slice_planes(slices);
+        (self.first, self.is_told) = (first, false);
+        self.positions = slices.map(|k| factorization.position(k) as f32);
+        clipping.is_some()
+    }
+
+    /// Finds what clip planes and balls leave of the scanlines, and what holes take.
+    #[inline(always)]
+    fn tell(&mut self, factorization: &Factorization) {
+        if std::mem::replace(&mut self.is_told, true) {
+            return;
+        }
+        let Clipping { by_planes, planes, holes, .. } = self.clipping;
+        self.holes.clear();
+        factorization.hollow_pixels(self.first, &self.slices, holes, |spans| self.holes.push(spans));
+        if by_planes {
+            self.left = factorization.clipped_pixels(self.first, &self.slices, planes);
+        } else {
+            self.left = [Spans::ALL; 2];
+        }
+    }
+}
+
 impl ClippedPixels {
     /// For a band of scanlines, none of whose rays has ended yet.
     #[inline(always)]
@@ -55,13 +94,36 @@ impl ClippedPixels {
     /// For some scanlines between two slices in the order of the walk; false where nothing of them is left.
     #[inline(always)]
     pub fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
-        let first = vs.start;
-        let clipping = factorization.clipping(vs, slices);
-        self.clipping = clipping.unwrap_or_default();
-        self.slices = factorization.slice_planes(slices);
-        (self.entered, self.is_told) = (first, false);
-        self.positions = slices.map(|k| factorization.position(k) as f32);
-        clipping.is_some()
+        self.slab.enter(factorization, vs, slices)
+    }
+
+    /// For some scanlines between the two slices behind those; false where nothing of them is left.
+    #[inline(always)]
+    pub fn enter_ahead(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
+        self.ahead.enter(factorization, vs, slices)
+    }
+
+    /// What was entered ahead is what is entered.
+    #[inline(always)]
+    pub fn advance(&mut self) {
+        std::mem::swap(&mut self.slab, &mut self.ahead);
+    }
+
+    /// Keeps the pixels of scanline `v`, one of those entered ahead, of which shapes leave something there; false where none is left.
+    #[inline(always)]
+    pub fn keep_ahead(&mut self, factorization: &Factorization, v: usize, pixels: &mut Mask) -> bool {
+        let ahead = &mut self.ahead;
+        if !ahead.clipping.by_shapes() {
+            return true;
+        }
+        ahead.tell(factorization);
+        let (row, width) = (v - ahead.first, factorization.size[0]);
+        let [some, _] = &ahead.left;
+        let mut any = pixels.keep_range(&some.pixels(row, width));
+        for [_, all] in &ahead.holes {
+            any = pixels.remove(&all.pixels(row, width));
+        }
+        any
     }
 
     /// For scanline `v`, one of those entered; true where pixels of the words `asked` for must be clipped ([`Self::find`]), else they are as they
@@ -73,10 +135,10 @@ impl ClippedPixels {
         v: usize,
         asked: impl FnOnce() -> Range<usize>,
     ) -> bool {
-        (self.by_shapes, self.by_limits, self.have_ended) = (self.clipping.by_shapes(), false, false);
-        if let Some(limits) = factorization.limits().filter(|_| self.clipping.by_limits) {
-            self.by_limits = limits.tells_apart(v, self.positions);
-            self.have_ended = limits.end_between(v, self.ended[v - self.first], self.positions[0]);
+        (self.by_shapes, self.by_limits, self.have_ended) = (self.slab.clipping.by_shapes(), false, false);
+        if let Some(limits) = factorization.limits().filter(|_| self.slab.clipping.by_limits) {
+            self.by_limits = limits.tells_apart(v, self.slab.positions);
+            self.have_ended = limits.end_between(v, self.ended[v - self.first], self.slab.positions[0]);
         }
         if self.is_any() {
             self.asked = asked();
@@ -96,7 +158,7 @@ impl ClippedPixels {
     #[inline(always)]
     pub fn find<W: Masks>(&mut self, factorization: &Factorization, v: usize, open: &mut [u64]) -> bool {
         let limits = factorization.limits().filter(|_| self.by_limits || self.have_ended);
-        let positions = self.positions;
+        let positions = self.slab.positions;
         if limits.is_some() {
             self.ended[v - self.first] = Some(positions[0]);
         }
@@ -146,26 +208,17 @@ impl ClippedPixels {
     /// Finds what clip planes and balls leave of scanline `v`, and what holes take; false where these take nothing of the words asked for.
     #[inline(always)]
     fn shapes_take(&mut self, factorization: &Factorization, v: usize) -> bool {
-        let Clipping { by_planes, planes, holes, .. } = self.clipping;
-        if !std::mem::replace(&mut self.is_told, true) {
-            self.holes.clear();
-            factorization.hollow_pixels(self.entered, &self.slices, holes, |spans| self.holes.push(spans));
-            if by_planes {
-                self.left = factorization.clipped_pixels(self.entered, &self.slices, planes);
-            } else {
-                self.left = [Spans::ALL; 2];
-            }
-        }
-        let (row, width) = (v - self.entered, factorization.size[0]);
+        self.slab.tell(factorization);
+        let (row, width) = (v - self.slab.first, factorization.size[0]);
         let asked = self.asked.start * WORD..(self.asked.end * WORD).min(width);
         self.taken.clear();
-        for [some, all] in &self.holes {
+        for [some, all] in &self.slab.holes {
             let some = some.pixels(row, width);
             if some.start < asked.end && asked.start < some.end {
                 self.taken.push([some, all.pixels(row, width)]);
             }
         }
-        let [some, whole] = &self.left;
+        let [some, whole] = &self.slab.left;
         self.within = [some.pixels(row, width), whole.pixels(row, width)];
         let [_, whole] = &self.within;
         !self.taken.is_empty() || whole.start > asked.start || whole.end < asked.end

@@ -126,6 +126,8 @@ pub struct Scratch<R, S> {
     /// Those over which the slab behind is.
     inside_ahead: Mask,
     clipped: ClippedPixels,
+    /// Where clipping was asked about the slab that comes next: whether anything of it is left.
+    is_left: Option<bool>,
     fresh: Mask,
     kept: Vec<Kept>,
     buffer: Buffer<S>,
@@ -177,6 +179,7 @@ impl<L: Lattice, Q: SlabSource<L>> Composite for SlabComposite<'_, L, Q> {
             pixels: Mask::new(width),
             inside_ahead: Mask::new(width),
             clipped: ClippedPixels::default(),
+            is_left: None,
             fresh: Mask::new(width),
             kept: vec![
                 Kept {
@@ -198,6 +201,7 @@ impl<L: Lattice, Q: SlabSource<L>> Composite for SlabComposite<'_, L, Q> {
             (kept.is_sampled, kept.found) = (false, None);
         }
         scratch.clipped.enter_band(band);
+        scratch.is_left = None;
         if L::LENGTHS {
             self.factorization.relative_lengths(band.first..band.first + band.height(), &mut scratch.lengths);
         }
@@ -242,7 +246,7 @@ impl<'a, P> Slab<'a, P> {
 impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
     /// One slab into one band.
     ///
-    /// Its back is sampled at the pixels of the `next` slab too. (Where shapes clip that, or rays have not begun, its pixels are found when it
+    /// Its back is sampled at the pixels of the `next` slab too. (Where rays have not begun, its pixels are found when it
     /// is its turn, and those that are new are sampled at its front; so are those of the first slab.)
     #[inline(always)]
     fn slab<W: Shorts>(
@@ -256,11 +260,18 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
         let rows = band.first..band.first + band.height();
         let of_band = |scanlines: &Range<usize>| scanlines.start.max(rows.start)..scanlines.end.min(rows.end);
         let vs = of_band(&slab.scanlines);
-        let shown = !vs.is_empty() && scratch.clipped.enter(f, vs.clone(), slab.ends);
+        let shown = match scratch.is_left.take() {
+            Some(is_left) => {
+                scratch.clipped.advance();
+                is_left
+            }
+            None => !vs.is_empty() && scratch.clipped.enter(f, vs.clone(), slab.ends),
+        };
         // Empty where it is not, and of no influence on the hull with other scanlines.
         let vs = if shown { vs } else { rows.end..rows.start };
         let next = next.map(|next| (next, of_band(&next.scanlines))).filter(|(next, vs)| {
-            !vs.is_empty() && f.clipping(vs.clone(), next.ends).is_some_and(|clipping| !clipping.by_shapes())
+            scratch.is_left = (!vs.is_empty()).then(|| scratch.clipped.enter_ahead(f, vs.clone(), next.ends));
+            scratch.is_left == Some(true)
         });
         let begins = f.position(slab.ends[1]) as f32;
         let have_begun = |v| f.limits().is_none_or(|limits| limits.have_begun(v, begins));
@@ -276,7 +287,7 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
         for v in all {
             let row = v - band.first;
             let mut scanline = band.scanline_and_more(row);
-            let Scratch { front, back, lengths, inside, pixels, inside_ahead, clipped, fresh, kept, buffer } =
+            let Scratch { front, back, lengths, inside, pixels, inside_ahead, clipped, fresh, kept, buffer, .. } =
                 &mut *scratch;
             let Kept { slab: left_by, is_sampled, sampled, found, ahead } = &mut kept[row];
             let known = std::mem::replace(left_by, slab.number) + 1 == slab.number;
@@ -294,7 +305,9 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
                     || pixels.keep(clipped.open(), &(0..usize::MAX)))
             };
             let next = next.as_ref().filter(|(_, vs)| vs.contains(&v) && have_begun(v));
-            *found = next.map(|(next, _)| self.mark::<W>(next, v, &scanline, inside_ahead, ahead));
+            *found = next.map(|(next, _)| {
+                self.mark::<W>(next, v, &scanline, inside_ahead, ahead) && clipped.keep_ahead(f, v, ahead)
+            });
             let any_ahead = *found == Some(true);
             let was_sampled = std::mem::replace(is_sampled, any || any_ahead) && known;
             if !*is_sampled {
