@@ -302,10 +302,17 @@ mod avx2 {
         #[inline(always)]
         fn powf(self, exponent: f32) -> Self {
             let mut memory = self.store();
-            for number in &mut memory {
-                *number = number.powf(exponent);
-            }
+            raise(&mut memory, exponent);
             Self::load(&memory)
+        }
+    }
+
+    /// A call keeps no register: seldom made, and where it is not, the loop around it shall not keep all it has in memory.
+    #[cold]
+    #[inline(never)]
+    fn raise(numbers: &mut Lanes, exponent: f32) {
+        for number in numbers {
+            *number = number.powf(exponent);
         }
     }
 }
