@@ -26,6 +26,7 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::awake;
+use super::ranges::hull;
 use super::view::View;
 use crate::simd::masks::WORD;
 use crate::simd::wide::{CellRow, INTEGER, LANES, Lanes, MANTISSA, Wide};
@@ -238,8 +239,7 @@ fn window(numbers: &[f32], width: usize, nothing: f32) -> [Range<usize>; 2] {
 
 /// Columns and rows that hold those of two windows.
 fn both([columns, rows]: [Range<usize>; 2], [others, below]: [Range<usize>; 2]) -> [Range<usize>; 2] {
-    let hull = |a: Range<usize>, b: Range<usize>| a.start.min(b.start)..a.end.max(b.end);
-    [hull(columns, others), hull(rows, below)]
+    [hull(&columns, &others), hull(&rows, &below)]
 }
 
 /// The job: columns and rows that hold all numbers but `nothing` in rows of `width`, if there are any.

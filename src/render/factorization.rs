@@ -32,6 +32,7 @@ use glam::{DAffine2, DAffine3, DMat3, DMat4, DVec2, DVec3};
 
 use super::RenderError;
 use super::depth::{Limits, Stretch};
+use super::ranges::hull;
 use super::regions::MAX_REGIONS;
 use super::view::{Clip, Rays, View};
 use crate::volume::Volume;
@@ -109,9 +110,8 @@ enum Shear {
 /// What may clip pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Clipping {
-    /// Clip planes and balls, and which of the planes.
-    pub by_planes: bool,
-    pub planes: Halves,
+    /// Clip planes and balls, if they do, and which of the planes.
+    pub by_planes: Option<Halves>,
     pub holes: Holes,
     /// The ends of rays.
     pub by_limits: bool,
@@ -136,7 +136,7 @@ impl Clipping {
     /// True where shapes may, whatever ends rays.
     #[inline(always)]
     pub fn by_shapes(&self) -> bool {
-        self.by_planes || self.holes.is_any()
+        self.by_planes.is_some() || self.holes.is_any()
     }
 }
 
@@ -398,19 +398,19 @@ impl Factorization {
         let at =
             |part: usize| self.along(self.start + (self.layers() as f64 - self.start) * part as f64 / PARTS as f64);
         let parts: Vec<_> = (0..PARTS).map(|part| self.slice_planes([at(part), at(part + 1)])).collect();
-        let mut met = vec![[width, 0]; height];
+        let mut met = vec![0..0; height];
         for (group, met) in met.chunks_mut(TOGETHER).enumerate() {
             for (shape, part) in shapes.iter().flat_map(|shape| parts.iter().map(move |part| (shape, part))) {
                 let [some, _] = shape.pixels::<TOGETHER>(group * TOGETHER, part, Halves::ALL);
                 for (row, met) in met.iter_mut().enumerate() {
                     let Range { start, end } = some.pixels(row, width);
                     if start < end {
-                        *met = [met[0].min(start.saturating_sub(1)), met[1].max((end + 1).min(width))];
+                        *met = hull(met, &(start.saturating_sub(1)..(end + 1).min(width)));
                     }
                 }
             }
         }
-        met.into_iter().map(|[start, end]| start.min(end)..end).collect()
+        met
     }
 
     /// What may clip pixels of some scanlines between two slices; `None` where nothing of any is left.
@@ -440,7 +440,7 @@ impl Factorization {
         match self.clip.meets(block) {
             Meeting::Outside => return None,
             Meeting::Inside => {}
-            Meeting::Across => (clipping.by_planes, clipping.planes) = (true, self.clip.cutting(block)),
+            Meeting::Across => clipping.by_planes = Some(self.clip.cutting(block)),
         }
         for (n, hole) in self.holes.iter().enumerate() {
             match hole.meets(block) {

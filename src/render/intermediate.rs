@@ -19,6 +19,7 @@ use rayon::prelude::*;
 
 use super::Background;
 use super::pixel::{BLOCK, Pixel, WORD, nearest};
+use super::ranges::hull;
 
 /// So many pixels behind a scanline's last may be taken with it, where nothing is added to them.
 const BESIDE: usize = WORD;
@@ -150,12 +151,8 @@ impl IntermediateImage {
     /// Pixels along u outside of which scanlines `v` and `last_v` and those between show nothing but what is behind.
     #[inline(always)]
     pub fn drawn(&self, v: usize, last_v: usize) -> Range<usize> {
-        let mut drawn = self.size[0]..0;
-        for scanline in v.min(self.size[1])..(last_v + 1).min(self.size[1]) {
-            let Range { start, end } = self.drawn[scanline];
-            drawn = drawn.start.min(start)..drawn.end.max(end);
-        }
-        drawn
+        let scanlines = &self.drawn[v.min(self.size[1])..(last_v + 1).min(self.size[1])];
+        scanlines.iter().fold(0..0, |all, drawn| hull(&all, drawn))
     }
 
     /// How opaque pixel (u, v) is, 0..1; with an image of its own behind it, how opaque both are.
@@ -180,11 +177,7 @@ impl IntermediateImage {
             for (front, back) in front[behind.clone()].iter_mut().zip(&back[behind.clone()]) {
                 put_pixel_behind(front, *back);
             }
-            if drawn.start == drawn.end {
-                *drawn = behind.clone();
-            } else if behind.start < behind.end {
-                *drawn = drawn.start.min(behind.start)..drawn.end.max(behind.end);
-            }
+            *drawn = hull(drawn, behind);
         });
     }
 

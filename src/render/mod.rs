@@ -10,6 +10,7 @@ pub mod intermediate;
 pub mod lighting;
 pub mod material;
 pub mod pixel;
+mod ranges;
 pub mod raster;
 pub mod ray_light;
 pub mod regions;

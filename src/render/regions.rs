@@ -22,6 +22,7 @@ use rayon::prelude::*;
 use super::depth::{Hole, InverseWarp, Limits, SeenScanline, Stretch};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
+use super::ranges::hull;
 use super::view::{Clip, cut};
 use super::{Cancel, Image, RenderError, Scene, Settings, Timings, View, awake, image, rays, shear_warp};
 use crate::volume::Volume;
@@ -208,10 +209,7 @@ impl Layers {
             if cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
-            let mut told = met[v].clone();
-            if let Some(ended) = depth.map(|depth| depth.may_end(v)).filter(|ended| !ended.is_empty()) {
-                told = if told.is_empty() { ended } else { told.start.min(ended.start)..told.end.max(ended.end) };
-            }
+            let told = hull(&met[v], &depth.map_or(0..0, |depth| depth.may_end(v)));
             let mut found = Scanline { pieces: Vec::with_capacity(told.len()), holes: vec![], told };
             // Slices behind the front one: an eye among the slices may have passed that.
             let [[first, first_step], [second, second_step]] = [1.0, 2.0].map(|position| {

@@ -24,6 +24,7 @@ use super::composite::WORD;
 use super::composite::occupied::LeafRows;
 use super::composite::samples::{VoxelLight, VoxelRows};
 use super::factorization::{Factorization, SlicePlacement};
+use super::ranges::hull;
 use super::simd::{self, Kernel};
 use crate::classify::labels::Labels;
 use crate::classify::{Classification, CodeTables, TransferFunction};
@@ -272,16 +273,15 @@ impl Slice {
         let lower = v + 1 - first[1];
         let upper = lower.checked_sub(1);
         let weights = [(upper, 1.0 - fv), (Some(lower).filter(|&j| j < nj), fv)];
-        let mut all: Option<Range<usize>> = None;
+        let mut all = 0..0;
         for (j, weight) in weights {
             let Some(j) = j.filter(|_| weight > 0.0) else { continue };
             self.rows[j % 2].enter(cast, voxels, j, self.k);
-            let stretch = self.rows[j % 2].stretch.clone();
-            if !stretch.is_empty() {
-                all = Some(all.map_or(stretch.clone(), |all| all.start.min(stretch.start)..all.end.max(stretch.end)));
-            }
+            all = hull(&all, &self.rows[j % 2].stretch);
         }
-        let Some(all) = all else { return };
+        if all.is_empty() {
+            return;
+        }
         // With what is beside it.
         let mixed = &mut self.mixed[all.start..all.end + 2];
         mixed.fill(0.0);

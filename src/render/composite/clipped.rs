@@ -6,6 +6,7 @@ use super::mask::Mask;
 use super::{BAND_HEIGHT, WORD, below};
 use crate::render::factorization::{Clipping, Factorization, SlicePlane, Spans};
 use crate::render::intermediate::Band;
+use crate::render::ranges::hull;
 use crate::render::simd::masks::Masks;
 
 /// What clips the scanlines of a band between two slices.
@@ -71,14 +72,13 @@ impl Slab {
         if std::mem::replace(&mut self.is_told, true) {
             return;
         }
-        let Clipping { by_planes, planes, holes, .. } = self.clipping;
+        let Clipping { by_planes, holes, .. } = self.clipping;
         self.holes.clear();
         factorization.hollow_pixels(self.first, &self.slices, holes, |spans| self.holes.push(spans));
-        if by_planes {
-            self.left = factorization.clipped_pixels(self.first, &self.slices, planes);
-        } else {
-            self.left = [Spans::ALL; 2];
-        }
+        self.left = match by_planes {
+            Some(planes) => factorization.clipped_pixels(self.first, &self.slices, planes),
+            None => [Spans::ALL; 2],
+        };
     }
 }
 
@@ -170,7 +170,7 @@ impl ClippedPixels {
             // Which rays have ended is told once for all; others are as they are.
             Some(limits) if self.by_shapes => {
                 let told = limits.told_apart(v);
-                told.start.min(self.asked.start)..told.end.max(self.asked.end)
+                hull(&told, &self.asked)
             }
             Some(limits) => limits.told_apart(v),
             None => self.asked.clone(),

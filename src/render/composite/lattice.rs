@@ -19,6 +19,7 @@ use super::scaled::ScaledRows;
 use super::{WORD, first_run, run_mask};
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, SlicePlacement};
+use crate::render::ranges::hull;
 use crate::render::simd::prefetch_at;
 use crate::render::simd::shorts::Shorts;
 
@@ -211,7 +212,7 @@ impl Lattice for Scaled {
                 let low = if from == 0 { f64::NEG_INFINITY } else { from as f64 + 0.5 };
                 let high = if to >= ni - 1 { f64::INFINITY } else { to as f64 - 0.5 };
                 let (front, back) = (front.touching(low, high), back.touching(low, high));
-                pixels.add(front.start.min(back.start)..front.end.max(back.end));
+                pixels.add(hull(&front, &back));
             }
         }
         pixels.keep_within(open, inside)

@@ -36,6 +36,7 @@ use super::{CANCEL_STEP, Composite, WORD};
 use crate::render::factorization::Factorization;
 use crate::render::intermediate::{Band, ScanlineMut};
 use crate::render::pixel::Pixel;
+use crate::render::ranges::hull;
 use crate::render::simd::shorts::Shorts;
 use crate::render::{BufferSlice, Cancel, RenderError};
 
@@ -267,8 +268,7 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
             }
             None => !vs.is_empty() && scratch.clipped.enter(f, vs.clone(), slab.ends),
         };
-        // Empty where it is not, and of no influence on the hull with other scanlines.
-        let vs = if shown { vs } else { rows.end..rows.start };
+        let vs = if shown { vs } else { 0..0 };
         let next = next.map(|next| (next, of_band(&next.scanlines))).filter(|(next, vs)| {
             scratch.is_left = (!vs.is_empty()).then(|| scratch.clipped.enter_ahead(f, vs.clone(), next.ends));
             scratch.is_left == Some(true)
@@ -281,8 +281,7 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
         scratch.inside_ahead.clear();
         if let Some((next, vs)) = &next {
             scratch.inside_ahead.add(next.pixels.clone());
-            all = all.start.min(vs.start)..all.end.max(vs.end);
-            us = us.start.min(next.pixels.start)..us.end.max(next.pixels.end);
+            (all, us) = (hull(&all, vs), hull(&us, &next.pixels));
         }
         for v in all {
             let row = v - band.first;

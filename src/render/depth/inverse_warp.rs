@@ -8,6 +8,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::{Limits, SceneDepth, SeenScanline, goes_on};
 use crate::render::factorization::Factorization;
+use crate::render::ranges::hull;
 use crate::render::view::{Rays, View};
 use crate::render::warp::inside;
 #[cfg(target_arch = "x86_64")]
@@ -152,9 +153,8 @@ impl<'a> InverseWarp<'a> {
         // Of -1, 0, 1, 2 scanlines from that one on.
         let rows = [0, 1, 2, 3].map(|n| self.limits.scanline((v + n).saturating_sub(1).min(height - 1)));
         let [_, upper, lower, _] = rows;
-        let met = [upper.told(), lower.told()].into_iter().filter(|told| !told.is_empty());
-        let (first, end) = met.fold((width, 0), |(first, end), met| (first.min(met.start), end.max(met.end)));
-        let cells = us.start.max(first.saturating_sub(1))..us.end.min(end).min(width - 1);
+        let met = hull(&upper.told(), &lower.told());
+        let cells = us.start.max(met.start.saturating_sub(1))..us.end.min(met.end).min(width - 1);
         let cells = cells.start..cells.end.max(cells.start);
         let apart =
             simd::dispatch(Apart { rows: [upper, lower].map(|row| row.ends(cells.start..cells.end + 1)), least });
