@@ -32,9 +32,9 @@ pub struct ClippedPixels {
     first: usize,
     /// By scanline how far from the front it is known which rays have ended.
     ended: Vec<Option<f32>>,
-    /// The slab that was entered, and the one behind it, where that was.
-    slab: Slab,
-    ahead: Slab,
+    /// The slab that was entered, and the one behind it, where that was; which of them is in front.
+    slabs: [Slab; 2],
+    front: usize,
     /// True where shapes may take something of the scanline.
     by_shapes: bool,
     /// True where rays of it end or begin between the slices.
@@ -94,25 +94,25 @@ impl ClippedPixels {
     /// For some scanlines between two slices in the order of the walk; false where nothing of them is left.
     #[inline(always)]
     pub fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
-        self.slab.enter(factorization, vs, slices)
+        self.slabs[self.front].enter(factorization, vs, slices)
     }
 
     /// For some scanlines between the two slices behind those; false where nothing of them is left.
     #[inline(always)]
     pub fn enter_ahead(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
-        self.ahead.enter(factorization, vs, slices)
+        self.slabs[1 - self.front].enter(factorization, vs, slices)
     }
 
     /// What was entered ahead is what is entered.
     #[inline(always)]
     pub fn advance(&mut self) {
-        std::mem::swap(&mut self.slab, &mut self.ahead);
+        self.front = 1 - self.front;
     }
 
     /// Keeps the pixels of scanline `v`, one of those entered ahead, of which shapes leave something there; false where none is left.
     #[inline(always)]
     pub fn keep_ahead(&mut self, factorization: &Factorization, v: usize, pixels: &mut Mask) -> bool {
-        let ahead = &mut self.ahead;
+        let ahead = &mut self.slabs[1 - self.front];
         if !ahead.clipping.by_shapes() {
             return true;
         }
@@ -135,10 +135,11 @@ impl ClippedPixels {
         v: usize,
         asked: impl FnOnce() -> Range<usize>,
     ) -> bool {
-        (self.by_shapes, self.by_limits, self.have_ended) = (self.slab.clipping.by_shapes(), false, false);
-        if let Some(limits) = factorization.limits().filter(|_| self.slab.clipping.by_limits) {
-            self.by_limits = limits.tells_apart(v, self.slab.positions);
-            self.have_ended = limits.end_between(v, self.ended[v - self.first], self.slab.positions[0]);
+        let Slab { clipping, positions, .. } = &self.slabs[self.front];
+        (self.by_shapes, self.by_limits, self.have_ended) = (clipping.by_shapes(), false, false);
+        if let Some(limits) = factorization.limits().filter(|_| clipping.by_limits) {
+            self.by_limits = limits.tells_apart(v, *positions);
+            self.have_ended = limits.end_between(v, self.ended[v - self.first], positions[0]);
         }
         if self.is_any() {
             self.asked = asked();
@@ -158,7 +159,7 @@ impl ClippedPixels {
     #[inline(always)]
     pub fn find<W: Masks>(&mut self, factorization: &Factorization, v: usize, open: &mut [u64]) -> bool {
         let limits = factorization.limits().filter(|_| self.by_limits || self.have_ended);
-        let positions = self.slab.positions;
+        let positions = self.slabs[self.front].positions;
         if limits.is_some() {
             self.ended[v - self.first] = Some(positions[0]);
         }
@@ -208,17 +209,18 @@ impl ClippedPixels {
     /// Finds what clip planes and balls leave of scanline `v`, and what holes take; false where these take nothing of the words asked for.
     #[inline(always)]
     fn shapes_take(&mut self, factorization: &Factorization, v: usize) -> bool {
-        self.slab.tell(factorization);
-        let (row, width) = (v - self.slab.first, factorization.size[0]);
+        let slab = &mut self.slabs[self.front];
+        slab.tell(factorization);
+        let (row, width) = (v - slab.first, factorization.size[0]);
         let asked = self.asked.start * WORD..(self.asked.end * WORD).min(width);
         self.taken.clear();
-        for [some, all] in &self.slab.holes {
+        for [some, all] in &slab.holes {
             let some = some.pixels(row, width);
             if some.start < asked.end && asked.start < some.end {
                 self.taken.push([some, all.pixels(row, width)]);
             }
         }
-        let [some, whole] = &self.slab.left;
+        let [some, whole] = &slab.left;
         self.within = [some.pixels(row, width), whole.pixels(row, width)];
         let [_, whole] = &self.within;
         !self.taken.is_empty() || whole.start > asked.start || whole.end < asked.end
