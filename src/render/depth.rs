@@ -26,6 +26,7 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::awake;
+use super::intermediate::Spare;
 use super::ranges::hull;
 use super::view::View;
 use crate::simd::masks::WORD;
@@ -56,6 +57,15 @@ pub struct SceneDepth {
     smooth: Vec<bool>,
     /// Of the window and its distances.
     hash: u128,
+}
+
+/// Memory for distances that are not needed any more.
+static SPARE_DISTANCES: Spare<f32> = Spare::none();
+
+impl Drop for SceneDepth {
+    fn drop(&mut self) {
+        SPARE_DISTANCES.give(std::mem::take(&mut self.distances));
+    }
 }
 
 /// Told by size and content: two that say the same are the same.
@@ -113,7 +123,8 @@ impl SceneDepth {
     /// What `fill` writes, from a row on, of the window's part of rows.
     fn of_window(view: &View, window: [Range<usize>; 2], fill: impl Fn(usize, &mut [f32]) + Sync) -> Self {
         let [columns, rows] = [window[0].len(), window[1].len()];
-        let mut distances = vec![0.0; columns * rows];
+        let mut distances = SPARE_DISTANCES.take();
+        distances.resize(columns * rows, 0.0);
         let bands = distances.par_chunks_mut((columns * BAND_HEIGHT).max(1)).enumerate();
         let hashes: Vec<u128> = bands
             .map(|(band, distances)| {

@@ -8,10 +8,11 @@ use std::borrow::Cow;
 use std::convert::Infallible;
 use std::future::ready;
 use std::io::Cursor;
+use std::ops::Deref;
 use std::sync::Arc;
 
 use axum::body::Bytes;
-use axum::extract::multipart::MultipartError;
+use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
 use glam::DMat4;
@@ -23,6 +24,7 @@ use xxhash_rust::xxh3::xxh3_128;
 use super::App;
 use super::error::Problem;
 use crate::render::depth::SceneDepth;
+use crate::render::intermediate::Spare;
 use crate::render::{Image, View};
 
 const OCTETS: &str = "application/octet-stream";
@@ -41,7 +43,38 @@ pub struct Parts {
 
 struct Part {
     content_type: String,
-    bytes: Bytes,
+    bytes: Received,
+}
+
+/// Memory for parts, kept from one request to the next: what the system gives anew costs a fault for every page.
+static SPARE_PARTS: Spare<u8> = Spare::none();
+
+/// The bytes of a part.
+struct Received(Vec<u8>);
+
+impl Received {
+    async fn read(mut field: Field<'_>) -> Result<Self, MultipartError> {
+        let mut received = Self(SPARE_PARTS.take());
+        received.0.clear();
+        while let Some(chunk) = field.chunk().await? {
+            received.0.extend_from_slice(&chunk);
+        }
+        Ok(received)
+    }
+}
+
+impl Deref for Received {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+impl Drop for Received {
+    fn drop(&mut self) {
+        SPARE_PARTS.give(std::mem::take(&mut self.0));
+    }
 }
 
 /// A scene, ready to be merged with.
@@ -78,20 +111,25 @@ async fn parts(app: &App, request: Request, place: OwnedSemaphorePermit) -> Resu
     let (mut request, mut depth, mut color) = (None, None, None);
     while let Some(field) = multipart.next_field().await.map_err(failed)? {
         let name = field.name().unwrap_or_default().to_owned();
-        let place = match name.as_str() {
-            "request" => &mut request,
-            "depth" => &mut depth,
-            "color" => &mut color,
+        let is_there = match name.as_str() {
+            "request" => request.is_some(),
+            "depth" => depth.is_some(),
+            "color" => color.is_some(),
             _ => return Err(Problem::refused(format!("/{name}"), "expected the parts request, depth and color")),
         };
-        if place.is_some() {
+        if is_there {
             return Err(Problem::refused(format!("/{name}"), "expected one such part, got two"));
         }
+        if name == "request" {
+            request = Some(field.bytes().await.map_err(failed)?);
+            continue;
+        }
+        let place = if name == "depth" { &mut depth } else { &mut color };
         let content_type = field.content_type().unwrap_or_default().to_owned();
-        *place = Some(Part { content_type, bytes: field.bytes().await.map_err(failed)? });
+        *place = Some(Part { content_type, bytes: Received::read(field).await.map_err(failed)? });
     }
     let depth = depth.ok_or_else(|| Problem::refused("/depth", "expected a part with the depth buffer"))?;
-    Ok((request.map(|part| part.bytes).unwrap_or_default(), Parts { depth, color, _place: place }))
+    Ok((request.unwrap_or_default(), Parts { depth, color, _place: place }))
 }
 
 /// The request with a limit of its own: the router's is for JSON.

@@ -11,7 +11,7 @@ use crate::render::simd::masks::Masks;
 
 /// What clips the scanlines of a band between two slices.
 #[derive(Clone, Debug, Default)]
-struct Slab {
+struct Between {
     clipping: Clipping,
     /// The slices, and where they are, from the front.
     slices: [SlicePlane; 2],
@@ -33,7 +33,7 @@ pub struct ClippedPixels {
     /// By scanline how far from the front it is known which rays have ended.
     ended: Vec<Option<f32>>,
     /// The slab that was entered, and the one behind it, where that was; which of them is in front.
-    slabs: [Slab; 2],
+    slabs: [Between; 2],
     front: usize,
     /// True where shapes may take something of the scanline.
     by_shapes: bool,
@@ -53,7 +53,7 @@ pub struct ClippedPixels {
     taken: Vec<[Range<usize>; 2]>,
 }
 
-impl Slab {
+impl Between {
     /// Enters some scanlines between two slices; false where nothing of them is left.
     #[inline(always)]
     fn enter(&mut self, factorization: &Factorization, vs: Range<usize>, slices: [f64; 2]) -> bool {
@@ -135,7 +135,7 @@ impl ClippedPixels {
         v: usize,
         asked: impl FnOnce() -> Range<usize>,
     ) -> bool {
-        let Slab { clipping, positions, .. } = &self.slabs[self.front];
+        let Between { clipping, positions, .. } = &self.slabs[self.front];
         (self.by_shapes, self.by_limits, self.have_ended) = (clipping.by_shapes(), false, false);
         if let Some(limits) = factorization.limits().filter(|_| clipping.by_limits) {
             self.by_limits = limits.tells_apart(v, *positions);
