@@ -111,24 +111,20 @@ async fn parts(app: &App, request: Request, place: OwnedSemaphorePermit) -> Resu
     let (mut request, mut depth, mut color) = (None, None, None);
     while let Some(field) = multipart.next_field().await.map_err(failed)? {
         let name = field.name().unwrap_or_default().to_owned();
-        let is_there = match name.as_str() {
-            "request" => request.is_some(),
-            "depth" => depth.is_some(),
-            "color" => color.is_some(),
+        let place = match name.as_str() {
+            "request" => &mut request,
+            "depth" => &mut depth,
+            "color" => &mut color,
             _ => return Err(Problem::refused(format!("/{name}"), "expected the parts request, depth and color")),
         };
-        if is_there {
+        if place.is_some() {
             return Err(Problem::refused(format!("/{name}"), "expected one such part, got two"));
         }
-        if name == "request" {
-            request = Some(field.bytes().await.map_err(failed)?);
-            continue;
-        }
-        let place = if name == "depth" { &mut depth } else { &mut color };
         let content_type = field.content_type().unwrap_or_default().to_owned();
         *place = Some(Part { content_type, bytes: Received::read(field).await.map_err(failed)? });
     }
     let depth = depth.ok_or_else(|| Problem::refused("/depth", "expected a part with the depth buffer"))?;
+    let request = request.map(|part: Part| Bytes::copy_from_slice(&part.bytes));
     Ok((request.unwrap_or_default(), Parts { depth, color, _place: place }))
 }
 

@@ -109,21 +109,21 @@ impl ClippedPixels {
         self.front = 1 - self.front;
     }
 
-    /// Keeps the pixels of scanline `v`, one of those entered ahead, of which shapes leave something there; false where none is left.
+    /// Keeps the pixels of scanline `v`, one of those entered ahead, that are set in `open` and of which shapes leave something there; false where
+    /// none is left.
     #[inline(always)]
-    pub fn keep_ahead(&mut self, factorization: &Factorization, v: usize, pixels: &mut Mask) -> bool {
+    pub fn keep_ahead(&mut self, factorization: &Factorization, v: usize, open: &[u64], pixels: &mut Mask) -> bool {
         let ahead = &mut self.slabs[1 - self.front];
         if !ahead.clipping.by_shapes() {
             return true;
         }
         ahead.tell(factorization);
         let (row, width) = (v - ahead.first, factorization.size[0]);
-        let [some, _] = &ahead.left;
-        let mut any = pixels.keep_range(&some.pixels(row, width));
         for [_, all] in &ahead.holes {
-            any = pixels.remove(&all.pixels(row, width));
+            pixels.remove(all.pixels(row, width));
         }
-        any
+        let [some, _] = &ahead.left;
+        pixels.keep(open, &some.pixels(row, width))
     }
 
     /// For scanline `v`, one of those entered; true where pixels of the words `asked` for must be clipped ([`Self::find`]), else they are as they

@@ -146,34 +146,20 @@ impl Mask {
         }
     }
 
+    /// Removes the pixels of `range`, which is within the scanline.
+    #[inline(always)]
+    pub fn remove(&mut self, range: Range<usize>) {
+        for at in range.start / WORD..range.end.div_ceil(WORD) {
+            self.words[BESIDE + at] &= !below(range.end, at) | below(range.start, at);
+        }
+    }
+
     /// Keeps the pixels of `range` that are set in `open`, which has a word more. False where none is left.
     #[inline(always)]
     pub fn keep(&mut self, open: &[u64], range: &Range<usize>) -> bool {
         let mut any = 0;
         for (at, (word, open)) in self.words[BESIDE..].iter_mut().zip(open).enumerate() {
             *word &= open & below(range.end, at) & !below(range.start, at);
-            any |= *word;
-        }
-        any != 0
-    }
-
-    /// Keeps the pixels of `range`. False where none is left.
-    #[inline(always)]
-    pub fn keep_range(&mut self, range: &Range<usize>) -> bool {
-        let mut any = 0;
-        for (at, word) in self.words[BESIDE..].iter_mut().enumerate() {
-            *word &= below(range.end, at) & !below(range.start, at);
-            any |= *word;
-        }
-        any != 0
-    }
-
-    /// Removes the pixels of `range`. False where none is left.
-    #[inline(always)]
-    pub fn remove(&mut self, range: &Range<usize>) -> bool {
-        let mut any = 0;
-        for (at, word) in self.words[BESIDE..].iter_mut().enumerate() {
-            *word &= !below(range.end, at) | below(range.start, at);
             any |= *word;
         }
         any != 0
@@ -392,11 +378,13 @@ mod tests {
         let runs: Vec<_> = Runs::new(&mask).collect();
         assert_eq!(runs, [(20, 44), (64, 1), (66, 14)]);
         assert!(!mask.clone().keep(&[u64::MAX; 4], &(90..90)));
-        let [mut some, mut others] = [0; 2].map(|_| mask.clone());
-        assert!(some.keep_range(&(30..67)) && others.remove(&(30..67)));
-        assert_eq!(Runs::new(&some).collect::<Vec<_>>(), [(30, 34), (64, 1), (66, 1)]);
+        let mut others = mask.clone();
+        others.remove(30..67);
         assert_eq!(Runs::new(&others).collect::<Vec<_>>(), [(20, 10), (67, 13)]);
-        assert!(!some.remove(&(0..150)) && !others.keep_range(&(100..150)));
+        others.remove(70..70);
+        assert_eq!(Runs::new(&others).collect::<Vec<_>>(), [(20, 10), (67, 13)]);
+        others.remove(0..150);
+        assert_eq!(Runs::new(&others).next(), None);
         let mut inside = Mask::new(150);
         inside.add(50..64);
         assert!(mask.keep_within(&[!(1 << 60); 4], &inside));

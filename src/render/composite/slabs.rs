@@ -305,7 +305,8 @@ impl<L: Lattice, Q: SlabSource<L>> SlabComposite<'_, L, Q> {
             };
             let next = next.as_ref().filter(|(_, vs)| vs.contains(&v) && have_begun(v));
             *found = next.map(|(next, _)| {
-                self.mark::<W>(next, v, &scanline, inside_ahead, ahead) && clipped.keep_ahead(f, v, ahead)
+                self.mark::<W>(next, v, &scanline, inside_ahead, ahead)
+                    && clipped.keep_ahead(f, v, scanline.non_opaque, ahead)
             });
             let any_ahead = *found == Some(true);
             let was_sampled = std::mem::replace(is_sampled, any || any_ahead) && known;
