@@ -54,7 +54,8 @@ pub enum Algorithm {
     Classified,
     /// Octree and summed-area table over the unencoded volume (section 3.3); the same pixels.
     FastClassification,
-    /// Slabs between slices, looked up in a pre-integration table (Schulze et al. 2003).
+    /// Slabs between slices, looked up in a pre-integration table (Schulze et al. 2003); those between voxels that have colours of
+    /// their own or labels are the means of two samples.
     Preintegrated,
     /// The image-order reference.
     Raycast,
@@ -397,28 +398,36 @@ pub struct Scene<'a> {
     pub classification: Option<&'a Classification>,
     /// Of that classification, where they are there: frames without are slower and the same.
     pub encodings: Option<&'a Encodings>,
-    /// A segmentation; the transfer function is then the [`crate::classify::labels::union`] of all. For all but
-    /// [`Algorithm::Preintegrated`].
+    /// A segmentation; the transfer function is then the [`crate::classify::labels::union`] of all.
     pub labels: Option<Labels<'a>>,
     /// Of the light that casts shadows ([`Shading::shadow_light`]); without, none are seen.
     pub shadow: Option<&'a Shadow>,
 }
 
-/// Refuses what [`render`] would refuse, before anything is built or queued for it.
+impl Scene<'_> {
+    /// True where voxels look each as they are, and not by their scalars alone.
+    fn is_painted(&self) -> bool {
+        self.labels.is_some() || self.prepared.volume().colors().is_some()
+    }
+}
+
+/// Refuses what [`render`] would refuse, before anything is built or queued for it. `labelled`: there is a segmentation.
 ///
 /// # Errors
 /// [`RenderError::Unsupported`] with the field at fault.
-pub fn check(volume: &Volume, view: &View, settings: &Settings) -> Result<(), RenderError> {
-    if settings.is_warped() { Factorization::parts(view, volume).map(drop) } else { Ok(()) }
+pub fn check(volume: &Volume, labelled: bool, view: &View, settings: &Settings) -> Result<(), RenderError> {
+    let is_warped = settings.is_warped(labelled || volume.colors().is_some());
+    if is_warped { Factorization::parts(view, volume).map(drop) } else { Ok(()) }
 }
 
 impl Settings {
-    /// Whether frames are warped from an intermediate image; if not, every pixel has a ray of its own.
-    fn is_warped(&self) -> bool {
+    /// Whether frames are warped from an intermediate image; if not, every pixel has a ray of its own, as slabs between voxels that are
+    /// `painted` have.
+    fn is_warped(&self, painted: bool) -> bool {
         self.blend == Blend::Composite
             && match self.algorithm {
                 Algorithm::Classified | Algorithm::FastClassification => true,
-                Algorithm::Preintegrated => self.quality != Quality::High,
+                Algorithm::Preintegrated => self.quality != Quality::High && !painted,
                 Algorithm::Raycast => false,
             }
     }

@@ -317,7 +317,8 @@ pub fn render_with_regions(
     assert!(regions.len() <= MAX_REGIONS);
     let _frame = awake::Frame::begin();
     let mut looks = regions.iter().filter_map(|region| region.shown).map(|(_, settings)| settings);
-    if settings.is_warped() && looks.all(Settings::is_warped) {
+    let painted = scene.is_painted();
+    if settings.is_warped(painted) && looks.all(|settings| settings.is_warped(painted)) {
         return shear_warp::frame(scene, view, settings, regions, cancel);
     }
     let start = Instant::now();

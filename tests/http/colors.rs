@@ -29,7 +29,8 @@ async fn a_colour_volume_is_shown_in_its_colours() {
     for (fields, algorithm) in [
         ("", "classified"),
         (r#", "quality": "draft""#, "classified"),
-        (r#", "quality": "high""#, "raycast"),
+        (r#", "quality": "high""#, "preintegrated"),
+        (r#", "algorithm": "preintegrated""#, "preintegrated"),
         (r#", "sampling": "opacity""#, "classified"),
         (r#", "algorithm": "fast-classification""#, "fast-classification"),
         (r#", "camera": {"projection": "perspective"}"#, "classified"),
@@ -60,20 +61,22 @@ async fn what_goes_with_colours_only_or_with_scalars_only_is_refused() {
     for (id, body, pointer) in [
         ("ball", r#"{"sampling": "extinction"}"#, "/sampling"),
         ("paint", r#"{"sampling": "color"}"#, "/sampling"),
-        ("paint", r#"{"algorithm": "preintegrated"}"#, "/algorithm"),
         (
             "paint",
-            r#"{"regions": [{"sphere": {"center": [6, 6, 6], "radius": 3}, "blend": "maximum"}]}"#,
-            "/regions/0/blend",
-        ),
-        (
-            "paint",
-            r#"{"blend": "maximum", "regions": [{"sphere": {"center": [6, 6, 6], "radius": 3}, "blend": "composite"}]}"#,
+            r#"{"algorithm": "classified", "regions": [{"sphere": {"center": [6, 6, 6], "radius": 3}, "blend": "maximum"}]}"#,
             "/regions/0/blend",
         ),
     ] {
         let problem = problem(service.post(&format!("/v1/volumes/{id}/frame"), body).await).await;
         assert_eq!((&problem["status"], &problem["errors"][0]["pointer"]), (&422.into(), &pointer.into()), "{body}");
     }
-    assert_eq!(service.post(FRAME, r#"{"blend": "maximum"}"#).await.status(), 200);
+    for body in [
+        r#"{"blend": "maximum"}"#,
+        r#"{"regions": [{"sphere": {"center": [6, 6, 6], "radius": 3}, "blend": "maximum"}]}"#,
+        r#"{"blend": "maximum", "regions": [{"sphere": {"center": [6, 6, 6], "radius": 3}, "blend": "composite"}]}"#,
+    ] {
+        let response = service.post(FRAME, body).await;
+        let told = (response.status().as_u16(), header(&response, "x-render-algorithm"));
+        assert_eq!(told, (200, "preintegrated"), "{body}");
+    }
 }

@@ -7,7 +7,7 @@ use shearwarp::render::{Algorithm, Projection, Quality, Sampling, Settings, Shad
 use shearwarp::volume::pyramid::{BoxFilter, coarser, coarser_by};
 use shearwarp::volume::{Colors, ImportReport, Placement, ScalarType, Volume, phantom};
 
-use crate::scenes::{Prepared, on_threads, orbit, plain, premultiplied, psnr};
+use crate::scenes::{Prepared, high, on_threads, orbit, plain, premultiplied, psnr, same_bits};
 
 const SIZE: [u32; 2] = [90, 80];
 const SAMPLINGS: [Sampling; 2] = [Sampling::Extinction, Sampling::Opacity];
@@ -51,10 +51,16 @@ fn a_uniform_medium_has_its_colour_and_its_opacity_whatever_is_interpolated() {
             let truth = scene.frame(&view, &exact);
             let middle = (SIZE[1] / 2 * SIZE[0] + SIZE[0] / 2) as usize;
             assert!(truth.pixels[4 * middle + 3] > 100);
-            for algorithm in [Algorithm::Classified, Algorithm::FastClassification] {
-                let frame = scene.frame(&view, &Settings { sampling, ..plain(algorithm) });
-                let off = premultiplied(&frame).zip(premultiplied(&truth)).filter(|(a, b)| (a[3] - b[3]).abs() > 8.0);
-                assert!(off.count() < 60, "outlines only");
+            for (settings, off_by, at_most) in [
+                (plain(Algorithm::Classified), 8.0, 60),
+                (plain(Algorithm::FastClassification), 8.0, 60),
+                (plain(Algorithm::Preintegrated), 1.0, 0),
+                (high(), 1.0, 0),
+            ] {
+                let frame = scene.frame(&view, &Settings { sampling, ..settings });
+                let pairs = premultiplied(&frame).zip(premultiplied(&truth));
+                let off = pairs.filter(|(a, b)| (a[3] - b[3]).abs() > off_by).count();
+                assert!(off <= at_most, "{off}: outlines only");
                 let [r, g, b] = [0, 1, 2].map(|n| frame.pixels[4 * middle + n]);
                 assert!(r.abs_diff(200) <= 1 && g.abs_diff(100) <= 1 && b.abs_diff(50) <= 1, "{r} {g} {b}");
             }
@@ -63,7 +69,7 @@ fn a_uniform_medium_has_its_colour_and_its_opacity_whatever_is_interpolated() {
 }
 
 #[test]
-fn classified_is_near_the_ray_caster_by_either() {
+fn frames_are_near_the_ray_casters_by_either() {
     let scene = Prepared::new(blobs([40, 44, 36], 7), by_alpha(1.0), 0.0);
     for projection in [Projection::Parallel, Projection::Perspective] {
         for (azimuth, elevation) in [(20.0, 10.0), (100.0, -30.0), (250.0, 75.0)] {
@@ -79,8 +85,12 @@ fn classified_is_near_the_ray_caster_by_either() {
                         0.0
                     };
                     assert!(lit < 40.0, "light changes nothing");
-                    let db = psnr(&scene.frame(&view, &settings), &scene.frame(&view, &exact));
-                    assert!(db > 28.0, "{projection:?} {azimuth} {sampling:?}: {db} dB");
+                    let own_rays = Settings { algorithm: Algorithm::Preintegrated, ..exact.clone() };
+                    let fine = Settings { preintegration: high().preintegration, ..own_rays.clone() };
+                    for (settings, floor) in [(settings, 28.0), (own_rays, 40.0), (fine, 50.0)] {
+                        let db = psnr(&scene.frame(&view, &settings), &scene.frame(&view, &exact));
+                        assert!(db > floor, "{projection:?} {azimuth} {settings:?}: {db} dB");
+                    }
                 }
             }
         }
@@ -162,6 +172,7 @@ proptest! {
         };
         let frame = scene.frame(&view, &settings);
         prop_assume!(frame.pixels.iter().any(|component| *component > 0));
+        same_bits(&scene, &view, &Settings { algorithm: Algorithm::Preintegrated, ..settings.clone() });
         let naive = scene.frame(&view, &Settings { skipping: false, ..settings.clone() });
         prop_assert!(frame == naive, "differs from its twin");
         let fast = Settings { algorithm: Algorithm::FastClassification, ..settings.clone() };

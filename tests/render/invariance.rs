@@ -105,7 +105,7 @@ fn picture(volume: Volume, rotation: DMat3, look: Look, settings: &Settings) -> 
     let shading = Some(Shading { lights: vec![Light::Headlight, light], ..Shading::default() });
     let view = scene.view(&camera, 70, 60);
     let settings = Settings { shading, ..settings.clone() };
-    check(scene.prepared.volume(), &view, &settings).is_ok().then(|| scene.frame(&view, &settings))
+    check(scene.prepared.volume(), false, &view, &settings).is_ok().then(|| scene.frame(&view, &settings))
 }
 
 fn largest_difference(a: &Image, b: &Image) -> u8 {

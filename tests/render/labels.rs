@@ -18,7 +18,8 @@ struct Labelled {
     labels: Volume,
     tables: LabelTables,
     transfer: TransferFunction,
-    classified: (Classification, Encodings),
+    /// For single voxels, and for slabs.
+    classified: [(Classification, Encodings); 2],
 }
 
 impl Labelled {
@@ -26,9 +27,12 @@ impl Labelled {
         let tables = LabelTables::new(&volume, &labels, looks, others, 0.0);
         let transfer = union([others].into_iter().chain(looks.iter().map(|look| &look.transfer)), 1.0);
         let prepared = PreparedVolume::build(volume);
-        let classification = Classification::build(&prepared, &transfer, Purpose::Voxels { min_opacity: 0.0 });
-        let encodings = Encodings::build(&prepared, &transfer, &classification);
-        Self { prepared, labels, tables, transfer, classified: (classification, encodings) }
+        let classified = [Purpose::Voxels { min_opacity: 0.0 }, Purpose::Slabs { entries: 16 }].map(|purpose| {
+            let classification = Classification::build(&prepared, &transfer, purpose);
+            let encodings = Encodings::build(&prepared, &transfer, &classification);
+            (classification, encodings)
+        });
+        Self { prepared, labels, tables, transfer, classified }
     }
 
     fn view(&self, projection: Projection, azimuth: f64, elevation: f64) -> View {
@@ -37,17 +41,31 @@ impl Labelled {
     }
 
     fn frame(&self, view: &View, settings: &Settings) -> Image {
-        let encoded = settings.algorithm == Algorithm::Classified;
+        self.frame_with(view, settings, settings.algorithm != Algorithm::FastClassification)
+    }
+
+    fn frame_with(&self, view: &View, settings: &Settings, encoded: bool) -> Image {
+        let (classification, encodings) = &self.classified[usize::from(settings.algorithm == Algorithm::Preintegrated)];
         let scene = Scene {
             prepared: &self.prepared,
             transfer: &self.transfer,
-            classification: Some(&self.classified.0),
-            encodings: encoded.then_some(&self.classified.1),
+            classification: Some(classification),
+            encodings: encoded.then_some(encodings),
             labels: Some(self.tables.of(&self.labels)),
             shadow: None,
         };
         render(&scene, view, settings, &Cancel::default()).unwrap().0
     }
+}
+
+const ALGORITHMS: [Algorithm; 4] =
+    [Algorithm::Classified, Algorithm::FastClassification, Algorithm::Preintegrated, Algorithm::Raycast];
+
+/// Settings of frames that are to be like that of the ray caster, and by how much, dB.
+fn compared(exact: &Settings) -> [(Settings, f64); 3] {
+    let own_rays = Settings { algorithm: Algorithm::Preintegrated, ..exact.clone() };
+    let fine = Settings { preintegration: Preintegration::of(Quality::High), ..own_rays.clone() };
+    [(Settings { algorithm: Algorithm::Classified, ..exact.clone() }, 28.0), (own_rays, 40.0), (fine, 50.0)]
 }
 
 /// Numbers on a grid like that of a volume.
@@ -82,7 +100,7 @@ fn a_label_that_is_not_visible_is_gone_and_the_others_stay() {
         scenes.iter().flat_map(|scene| [(scene, Projection::Parallel), (scene, Projection::Perspective)])
     {
         let view = scene.view(projection, 0.0, 0.0);
-        for algorithm in [Algorithm::Classified, Algorithm::FastClassification, Algorithm::Raycast] {
+        for algorithm in ALGORITHMS {
             let frame = scene.frame(&view, &plain(algorithm));
             let alpha = |x: usize| frame.pixels[4 * (28 * 64 + x) + 3];
             // Looked at from in front, i grows to the right.
@@ -113,8 +131,10 @@ fn labels_are_where_the_ray_caster_has_them() {
                 let exact = Settings { shading, sample_distance: 0.1, ..plain(Algorithm::Raycast) };
                 let truth = scene.frame(&view, &exact);
                 assert!(psnr(&truth, &without.frame(&view, &exact)) < 30.0, "labels change nothing");
-                let db = psnr(&scene.frame(&view, &Settings { algorithm: Algorithm::Classified, ..exact }), &truth);
-                assert!(db > 28.0, "{projection:?} {azimuth}: {db} dB");
+                for (settings, floor) in compared(&exact) {
+                    let db = psnr(&scene.frame(&view, &settings), &truth);
+                    assert!(db > floor, "{projection:?} {azimuth} {settings:?}: {db} dB");
+                }
             }
         }
     }
@@ -146,7 +166,7 @@ fn each_label_has_its_own_gradient_opacity() {
         let scene = Labelled::new(volume.clone(), labels.clone(), &[LabelLook { label: 1, transfer: upper }], &others);
         for projection in [Projection::Parallel, Projection::Perspective] {
             let view = scene.view(projection, 0.0, 0.0);
-            for algorithm in [Algorithm::Classified, Algorithm::FastClassification, Algorithm::Raycast] {
+            for algorithm in ALGORITHMS {
                 let frame = scene.frame(&view, &plain(algorithm));
                 // Above is label 1; the other half shows what is steep, on the right.
                 let shown = |x: usize, y: usize| match frame.pixels[4 * (64 * y + x) + 3] {
@@ -176,8 +196,10 @@ fn gradient_opacities_of_labels_are_the_ray_casters() {
         let view = scene.view(Projection::Parallel, azimuth, elevation);
         let exact = Settings { sample_distance: 0.1, ..plain(Algorithm::Raycast) };
         let truth = scene.frame(&view, &exact);
-        let db = psnr(&scene.frame(&view, &Settings { algorithm: Algorithm::Classified, ..exact }), &truth);
-        assert!(db > 28.0, "{azimuth}: {db} dB");
+        for (settings, floor) in compared(&exact) {
+            let db = psnr(&scene.frame(&view, &settings), &truth);
+            assert!(db > floor, "{azimuth} {settings:?}: {db} dB");
+        }
     }
 }
 
@@ -256,11 +278,12 @@ proptest! {
         let projection = if perspective { Projection::Perspective } else { Projection::Parallel };
         let view = scene.view(projection, azimuth, elevation);
         let shading = lit.then(Shading::default);
-        for algorithm in [Algorithm::Classified, Algorithm::Raycast] {
+        for algorithm in [Algorithm::Classified, Algorithm::Preintegrated, Algorithm::Raycast] {
             let settings = Settings { shading: shading.clone(), early_ray_termination: 0.97, ..plain(algorithm) };
             let frame = scene.frame(&view, &settings);
             prop_assert!(frame == scene.frame(&view, &Settings { skipping: false, ..settings.clone() }), "{algorithm:?} skips");
             prop_assert!(frame == on_threads(3, || scene.frame(&view, &settings)), "{algorithm:?}: threads");
+            prop_assert!(frame == scene.frame_with(&view, &settings, false), "{algorithm:?}: encodings");
             if algorithm == Algorithm::Classified {
                 let fast = Settings { algorithm: Algorithm::FastClassification, ..settings };
                 prop_assert!(frame == scene.frame(&view, &fast), "fast classification differs");

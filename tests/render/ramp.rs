@@ -214,7 +214,7 @@ fn all(sample_distance: f64) -> [Settings; 3] {
 }
 
 fn accepts(scene: &Prepared, view: &View, settings: &Settings) -> bool {
-    check(scene.prepared.volume(), view, settings).is_ok()
+    check(scene.prepared.volume(), false, view, settings).is_ok()
 }
 
 #[test]

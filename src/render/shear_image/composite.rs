@@ -11,13 +11,15 @@ use std::time::Instant;
 
 use glam::{Mat3, Vec3, Vec4};
 
+use super::medium::{Medium, Scalars};
 use super::packet::{IN_SLICE, Packet};
+use super::painted::{Looks, Painted};
 use super::patch::{Cells, Patch, Slice};
 use super::sampler::Sampler;
 use super::skip::Skip;
 use super::{Frame, Pixels};
 use crate::classify::TransferFunction;
-use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, Slabs};
+use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional};
 use crate::render::lighting::Lighting;
 use crate::render::{DepthCueing, Lookup, OpacityCorrection, RenderError, Scene, SlabTable, Timings};
 use crate::simd::numbers::{Numbers, exp};
@@ -34,7 +36,7 @@ pub(super) fn frame<T: Code>(
 ) -> Result<(Vec<Vec4>, Timings), RenderError> {
     let settings = frame.settings;
     let classification = scene.classification.expect("pre-integration needs a classification");
-    let tables = classification.slabs().expect("the classification is of slabs");
+    let looks = Looks::of(codes, scene, classification.tables(), settings.sampling);
     let volume = scene.prepared.volume();
     let dims = volume.dims();
 
@@ -51,7 +53,7 @@ pub(super) fn frame<T: Code>(
         OpacityCorrection::Off => (slice_distance, true),
     };
     let gradient_opacity = Some(scene.transfer).filter(|transfer| !transfer.gradient_opacity.is_empty());
-    let scaled = gradient_opacity.is_some() || !same_length;
+    let scaled = gradient_opacity.is_some() || !same_length || looks.is_some();
     let form = if scaled { Form::OpticalDepth } else { Form::Opacity };
     let gradient_frame = GradientFrame::new(volume.placement(), volume.rescale().0);
     let lighting = |transmittance| settings.shading.as_ref().map(|shading| Lighting::new(shading, transmittance));
@@ -61,29 +63,43 @@ pub(super) fn frame<T: Code>(
         scanlines,
         skip: if settings.skipping { Skip::new(dims, classification, scene.encodings) } else { Skip::nothing(dims) },
         steps,
-        per_length: if same_length { None } else { Some(1.0 / slice_length as f32) },
+        // Slabs of looks are as deep as they would be over 1 mm.
+        per_length: match &looks {
+            Some(_) => Some(1.0 / steps as f32),
+            None => (!same_length).then(|| 1.0 / slice_length as f32),
+        },
         gradient: (gradient_frame.world_from_frame * gradient_frame.frame_from_differences).as_mat3(),
-        gradient_opacity,
+        // Labels have gradient opacities of their own.
+        gradient_opacity: gradient_opacity.filter(|_| scene.labels.is_none()),
+        by_gradient: gradient_opacity.is_some(),
         lighting: lighting.as_ref(),
         shadow: in_shadow.as_ref().zip(scene.shadow.map(|shadow| Sampler::new(shadow.lacking(), dims))),
         depth_cueing: settings.depth_cueing,
         opaque: settings.early_ray_termination,
     };
+    if let Some(looks) = &looks {
+        return walk.render(
+            frame,
+            Painted { looks, by_gradient: gradient_opacity.is_some() && scene.labels.is_some() },
+            scaled,
+        );
+    }
+    let tables = classification.slabs().expect("the classification is of slabs");
     let making = Instant::now();
     let slab_length = (slice_length / steps as f64) as f32;
     let (image, timings, preintegration_table) = match options.table {
         SlabTable::OneDimensional => {
             let sums = tables.running_sums(form, slab_length);
             let made = making.elapsed();
-            let (image, timings) = walk.render(frame, OneDimensional(&sums), scaled)?;
+            let (image, timings) = walk.render(frame, Scalars(OneDimensional(&sums)), scaled)?;
             (image, timings, made)
         }
         SlabTable::TwoDimensional => {
             let table = tables.table(form, slab_length);
             let made = making.elapsed();
             let (image, timings) = match options.lookup {
-                Lookup::Nearest => walk.render(frame, Nearest(&table), scaled),
-                Lookup::Bilinear => walk.render(frame, Bilinear(&table), scaled),
+                Lookup::Nearest => walk.render(frame, Scalars(Nearest(&table)), scaled),
+                Lookup::Bilinear => walk.render(frame, Scalars(Bilinear(&table)), scaled),
             }?;
             (image, timings, made)
         }
@@ -105,6 +121,8 @@ struct Walk<'a, T> {
     /// World gradient from differences of codes.
     gradient: Mat3,
     gradient_opacity: Option<&'a TransferFunction>,
+    /// Extinction depends on the gradient, by that or otherwise.
+    by_gradient: bool,
     lighting: Option<&'a Lighting>,
     /// The light where the one that casts shadows is gone, and how much of that each voxel lacks, in 255ths.
     shadow: Option<(&'a Lighting, Sampler<'a, u8>)>,
@@ -115,12 +133,17 @@ struct Walk<'a, T> {
 
 impl<T: Code> Walk<'_, T> {
     /// Chooses the kernel's type parameters.
-    fn render<S: Slabs>(&self, frame: &Frame<'_>, table: S, scaled: bool) -> Result<(Vec<Vec4>, Timings), RenderError> {
+    fn render<M: Medium<T>>(
+        &self,
+        frame: &Frame<'_>,
+        medium: M,
+        scaled: bool,
+    ) -> Result<(Vec<Vec4>, Timings), RenderError> {
         match (self.lighting.is_some(), scaled) {
-            (false, false) => frame.render(&Composite::<T, S, false, false> { walk: self, table }),
-            (false, true) => frame.render(&Composite::<T, S, false, true> { walk: self, table }),
-            (true, false) => frame.render(&Composite::<T, S, true, false> { walk: self, table }),
-            (true, true) => frame.render(&Composite::<T, S, true, true> { walk: self, table }),
+            (false, false) => frame.render(&Composite::<T, M, false, false> { walk: self, medium }),
+            (false, true) => frame.render(&Composite::<T, M, false, true> { walk: self, medium }),
+            (true, false) => frame.render(&Composite::<T, M, true, false> { walk: self, medium }),
+            (true, true) => frame.render(&Composite::<T, M, true, true> { walk: self, medium }),
         }
     }
 }
@@ -128,21 +151,27 @@ impl<T: Code> Walk<'_, T> {
 /// Cells of a layer under a tile at most, where it has more than one packet: what stays in the first-level cache.
 const TILE_CELLS: usize = 256;
 
-/// The kernel. `SCALED`: the table holds optical depths.
-struct Composite<'a, T, S, const LIT: bool, const SCALED: bool> {
+/// The kernel. `SCALED`: slabs are told by optical depths.
+struct Composite<'a, T, M, const LIT: bool, const SCALED: bool> {
     walk: &'a Walk<'a, T>,
-    table: S,
+    medium: M,
 }
 
 /// What a job keeps from tile to tile.
-#[derive(Default)]
-struct Buffers {
+struct Buffers<L, S> {
     patch: Patch,
-    states: Vec<State>,
+    layer: L,
+    states: Vec<State<S>>,
 }
 
-/// What a packet has come to.
-struct State {
+impl<L: Default, S> Default for Buffers<L, S> {
+    fn default() -> Self {
+        Self { patch: Patch::default(), layer: L::default(), states: vec![] }
+    }
+}
+
+/// What a packet has come to; `S` is what it samples.
+struct State<S> {
     /// By channel, premultiplied, opacity last.
     pixels: [Lanes; 4],
     /// 1 for rays that are neither opaque nor outside of the volume, else 0.
@@ -157,9 +186,9 @@ struct State {
     since: Lanes,
     /// Something showed in this layer.
     shows: bool,
-    /// Positions on the table's axis where the last slab began, and where it ended.
-    front: Lanes,
-    back: Lanes,
+    /// What was sampled where the last slab began, and where it ended.
+    front: S,
+    back: S,
     /// The layer that it ended at.
     reached: usize,
     /// The next layer in which something may show, if there is one.
@@ -177,14 +206,15 @@ const STALE_LIGHT: f32 = 0.5 / 255.0;
 
 /// Where slabs have their middles: all of them within a layer, or each where its ray is cut.
 #[derive(Clone, Copy)]
-enum Middles<'a> {
+pub(super) enum Middles<'a> {
     Slice { t: f32, fraction: f32 },
     Rays(&'a Lanes),
 }
 
 impl Middles<'_> {
+    /// A lane's.
     #[inline(always)]
-    fn of(&self, lane: usize) -> f32 {
+    pub fn of(&self, lane: usize) -> f32 {
         match *self {
             Self::Slice { t, .. } => t,
             Self::Rays(middles) => middles[lane],
@@ -192,7 +222,7 @@ impl Middles<'_> {
     }
 }
 
-impl State {
+impl<S> State<S> {
     /// Lanes whose light must be asked for anew (1, else 0), of those that show so much of their slabs.
     #[inline(always)]
     fn unlit<V: Numbers<Memory = Lanes>>(&mut self, shown: V) -> V {
@@ -204,11 +234,11 @@ impl State {
     }
 }
 
-impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composite<'_, T, S, LIT, SCALED> {
-    type Buffers = Buffers;
+impl<T: Code, M: Medium<T>, const LIT: bool, const SCALED: bool> Pixels for Composite<'_, T, M, LIT, SCALED> {
+    type Buffers = Buffers<M::Layer, M::Samples>;
 
     #[inline(always)]
-    fn pixels<W: Wide>(&self, tile: &[Packet], buffers: &mut Buffers, out: &mut [[Vec4; LANES]]) {
+    fn pixels<W: Wide>(&self, tile: &[Packet], buffers: &mut Self::Buffers, out: &mut [[Vec4; LANES]]) {
         let mut rows = tile.len();
         while rows > 1 && self.cells(&tile[..rows]) > TILE_CELLS {
             rows = rows.div_ceil(2);
@@ -222,7 +252,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Pixels for Composit
     }
 }
 
-impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S, LIT, SCALED> {
+impl<T: Code, M: Medium<T>, const LIT: bool, const SCALED: bool> Composite<'_, T, M, LIT, SCALED> {
     /// Cells of a layer that a tile lies over, at its first or its last slice.
     fn cells(&self, packets: &[Packet]) -> usize {
         let dims = self.walk.sampler.dims();
@@ -238,7 +268,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
 
     /// Before the first slice.
     #[inline(always)]
-    fn start<W: Wide>(&self, packet: &Packet) -> State {
+    fn start<W: Wide>(&self, packet: &Packet) -> State<M::Samples> {
         let dims = self.walk.sampler.dims();
         let hits = packet.hits();
         let mut open = [0.0; LANES];
@@ -256,8 +286,8 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             light: [[0.0; LANES]; 2],
             since: [f32::INFINITY; LANES],
             shows: false,
-            front: [0.0; LANES],
-            back: [0.0; LANES],
+            front: M::NOTHING,
+            back: M::NOTHING,
             reached: usize::MAX,
             next: None,
             end,
@@ -269,7 +299,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
 
     /// Finds the next layer from `layer` on.
     #[inline(always)]
-    fn go_on<W: Wide>(&self, packet: &Packet, state: &mut State, layer: usize) {
+    fn go_on<W: Wide>(&self, packet: &Packet, state: &mut State<M::Samples>, layer: usize) {
         let next = self.walk.skip.next_layer::<W>(packet, layer, state.end);
         if next < state.end {
             self.enter(packet, state, next);
@@ -280,14 +310,18 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
 
     /// Makes a layer the next one.
     #[inline(always)]
-    fn enter(&self, packet: &Packet, state: &mut State, layer: usize) {
+    fn enter(&self, packet: &Packet, state: &mut State<M::Samples>, layer: usize) {
         state.next = Some(layer);
         state.cells = Cells::touched(packet, [layer as f32, (layer + 1) as f32], self.walk.sampler.dims());
     }
 
     /// Takes the packets of a tile through the volume.
     #[inline(always)]
-    fn tile<W: Wide>(&self, packets: &[Packet], Buffers { patch, states }: &mut Buffers) {
+    fn tile<W: Wide>(
+        &self,
+        packets: &[Packet],
+        Buffers { patch, layer: looks, states }: &mut Buffers<M::Layer, M::Samples>,
+    ) {
         let Walk { scanlines, steps, .. } = self.walk;
         let dims = self.walk.sampler.dims();
         states.clear();
@@ -312,11 +346,12 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             }
             let Some((layer, cells)) = ahead else { return };
             patch.enter(&scanlines[axis], dims, cells, layer, reversed);
+            self.medium.enter(patch, &packets[0], layer, looks);
             for n in 1..=*steps {
                 let back = if n == *steps {
                     Slice::Far
                 } else {
-                    patch.interpolate(n as f32 * step);
+                    self.medium.interpolate(patch, looks, n as f32 * step);
                     Slice::Between
                 };
                 let from = layer as f32 + (n - 1) as f32 * step;
@@ -332,10 +367,10 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
                         state.back
                     } else {
                         let places = patch.places::<W>(packet, &state.cells, layer as f32);
-                        self.table.coordinates::<W>(&patch.scalars::<W>(Slice::Near, &places))
+                        self.medium.samples::<W>(patch, looks, Slice::Near, &places)
                     };
                     let places = patch.places::<W>(packet, &state.cells, to);
-                    state.back = self.table.coordinates::<W>(&patch.scalars::<W>(back, &places));
+                    state.back = self.medium.samples::<W>(patch, looks, back, &places);
                 }
                 for (packet, state) in packets.iter().zip(states.iter_mut()) {
                     if state.next == Some(layer) {
@@ -367,7 +402,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
     fn slabs<W: Wide>(
         &self,
         packet: &Packet,
-        state: &mut State,
+        state: &mut State<M::Samples>,
         patch: &mut Patch,
         [from, to]: [f32; 2],
         fraction: f32,
@@ -377,30 +412,24 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             return;
         }
         let middles = Middles::Slice { t: 0.5 * (from + to), fraction };
-        let slabs = self.table.slabs::<W>(&state.front, &state.back);
+        let slabs = self.medium.slabs::<W>(&state.front, &state.back);
         self.blend::<W>(packet, state, patch, middles, slabs, &[1.0; LANES]);
     }
 
     /// Slabs some of which are cut by an end of their ray.
     #[inline(never)]
-    fn ends(&self, packet: &Packet, state: &mut State, patch: &mut Patch, [from, to]: [f32; 2]) {
+    fn ends(&self, packet: &Packet, state: &mut State<M::Samples>, patch: &mut Patch, [from, to]: [f32; 2]) {
         let mut slabs = [Vec4::ZERO; LANES];
-        let (mut middles, mut shares) = ([from; LANES], [1.0; LANES]);
+        let (mut middles, mut shares) = ([from; LANES], [0.0; LANES]);
         for lane in 0..LANES {
             let (enter, leave) = (packet.enter[lane].max(from), packet.leave[lane].min(to));
             if enter >= leave {
                 continue;
             }
-            let coordinate = |t: f32, whole: f32, on_slice: f32| {
-                if t == whole {
-                    on_slice
-                } else {
-                    let sampler = &self.walk.sampler;
-                    self.table.coordinate(sampler.scalar(sampler.position(packet, lane, t)))
-                }
+            let sample = |t: f32, whole: f32, on_slice: &M::Samples| {
+                if t == whole { M::sample(on_slice, lane) } else { self.medium.at(&self.walk.sampler, packet, lane, t) }
             };
-            slabs[lane] =
-                self.table.slab(coordinate(enter, from, state.front[lane]), coordinate(leave, to, state.back[lane]));
+            slabs[lane] = self.medium.slab(sample(enter, from, &state.front), sample(leave, to, &state.back));
             middles[lane] = 0.5 * (enter + leave);
             shares[lane] = (leave - enter) / (to - from);
         }
@@ -413,7 +442,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
     fn blend<W: Wide>(
         &self,
         packet: &Packet,
-        state: &mut State,
+        state: &mut State<M::Samples>,
         patch: &mut Patch,
         middles: Middles<'_>,
         [red, green, blue, opacity]: [Lanes; 4],
@@ -428,11 +457,18 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             return;
         }
         state.shows = true;
-        let by_gradient = SCALED && self.walk.gradient_opacity.is_some();
+        let by_gradient = SCALED && self.walk.by_gradient;
         let unlit = if LIT && !by_gradient { state.unlit(shown) } else { one };
         let asked = (LIT || by_gradient) && unlit.any();
         let gradients = if asked { self.gradients::<W>(packet, state, patch, middles) } else { [zero; 3] };
         let mut colors = [W::Numbers::load(&red), W::Numbers::load(&green), W::Numbers::load(&blue)];
+        if by_gradient
+            && let Some(slabs) =
+                self.medium.with_gradients(&self.walk.sampler, packet, middles, &length::<W>(gradients).store())
+        {
+            let [red, green, blue, depth] = slabs.map(|slab| W::Numbers::load(&slab));
+            (colors, opacity) = ([red, green, blue], depth);
+        }
         if SCALED || matches!(middles, Middles::Rays(_)) {
             let ratios = self.scale::<W>(state, gradients, &mut opacity, shares);
             for color in &mut colors {
@@ -484,7 +520,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
     fn gradients<W: Wide>(
         &self,
         packet: &Packet,
-        state: &State,
+        state: &State<M::Samples>,
         patch: &mut Patch,
         middles: Middles<'_>,
     ) -> [W::Numbers; 3] {
@@ -516,8 +552,8 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
     #[inline(always)]
     fn scale<W: Wide>(
         &self,
-        state: &State,
-        [x, y, z]: [W::Numbers; 3],
+        state: &State<M::Samples>,
+        gradients: [W::Numbers; 3],
         looked_up: &mut W::Numbers,
         shares: &Lanes,
     ) -> W::Numbers {
@@ -526,7 +562,7 @@ impl<T: Code, S: Slabs, const LIT: bool, const SCALED: bool> Composite<'_, T, S,
             let depth = *looked_up;
             let mut scaled = (zero - depth) * (W::Numbers::load(&state.ratio) * W::Numbers::load(shares));
             if let Some(transfer) = self.walk.gradient_opacity {
-                let mut factors = (x * x + y * y + z * z).sqrt().store();
+                let mut factors = length::<W>(gradients).store();
                 for factor in &mut factors {
                     *factor = transfer.gradient_factor(f64::from(*factor)) as f32;
                 }
@@ -563,6 +599,12 @@ fn darken(
             light[lane] += (in_shadow[lane] - light[lane]) * lacking;
         }
     }
+}
+
+/// Lengths of vectors, told by component.
+#[inline(always)]
+fn length<W: Wide>([x, y, z]: [W::Numbers; 3]) -> W::Numbers {
+    (x * x + y * y + z * z).sqrt()
 }
 
 /// World gradients from differences along three axes, whose world gradients for a unit are `columns`.

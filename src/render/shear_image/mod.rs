@@ -25,7 +25,9 @@
 #![allow(clippy::needless_range_loop)]
 
 mod composite;
+mod medium;
 mod packet;
+mod painted;
 mod patch;
 mod projection;
 mod sampler;

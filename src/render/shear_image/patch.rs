@@ -74,7 +74,8 @@ pub enum Slice {
 pub struct Patch {
     /// The first cell's index along `i` and `j`.
     first: [usize; 2],
-    /// Voxels of a row: a multiple of the lanes.
+    /// Voxels of a row that are there, and as many as it has room for: a multiple of the lanes.
+    width: usize,
     stride: usize,
     rows: usize,
     /// The slices before the layer, at its two sides and behind it, in order of travel.
@@ -102,6 +103,7 @@ impl Patch {
         // A voxel more than cells, and one before and one after them.
         let width = cells.last[0] - cells.first[0] + 4;
         self.first = cells.first;
+        self.width = width;
         self.stride = width.next_multiple_of(LANES);
         self.rows = cells.last[1] - cells.first[1] + 4;
         self.differentiated = None;
@@ -137,6 +139,29 @@ impl Patch {
                 prefetch(&scanlines.row(j, k)[cells.first[0]..=cells.last[0]]);
             }
         }
+    }
+
+    /// What the voxels of the layer's cells at its near (0) or far side (1) are, in the order of [`Self::vectors`]: row by row, told by the
+    /// index of its first along `i` and `j` and by their codes.
+    #[inline(always)]
+    pub fn paint(&self, side: usize, out: &mut Vec<Vec4>, row_of: impl Fn([usize; 2], &[f32], &mut [Vec4])) {
+        let length = self.stride * self.rows;
+        if out.len() != length {
+            out.resize(length, Vec4::ZERO);
+        }
+        for row in 1..self.rows - 1 {
+            let codes = &self.slices[1 + side][row * self.stride..][1..self.width - 1];
+            let out = &mut out[row * self.stride..][1..self.width - 1];
+            row_of([self.first[0], self.first[1] + row - 1], codes, out);
+        }
+    }
+
+    /// Where a packet meets a slice of [painted](Self::paint) voxels, by component.
+    #[inline(always)]
+    pub fn vectors<W: Wide>(&self, voxels: &[Vec4], places: &Places) -> [Lanes; 4] {
+        let [along, across] = &places.fractions;
+        let Some(voxels) = voxels.get(self.stride + 1..) else { return [[0.0; LANES]; 4] };
+        W::bilinear_vectors(voxels, self.stride, &places.index, [along, across])
     }
 
     /// Makes the slice `fraction` of the way from the near one to the far one.

@@ -187,6 +187,17 @@ impl<'a, T: Code> Sampler<'a, T> {
         near + (far - near) * f.z
     }
 
+    /// What eight voxels have, told by their index, at one point between them: trilinear.
+    #[inline(always)]
+    pub fn interpolated(&self, at: Vec3, voxel: impl Fn(usize) -> Vec4) -> Vec4 {
+        let [nx, ny, _] = self.dims;
+        let ([x, y, z], f) = self.cell(at);
+        let row = |first: usize| voxel(first).lerp(voxel(first + 1), f.x);
+        let slice = |first: usize| row(first).lerp(row(first + nx), f.y);
+        let first = (z * ny + y) * nx + x;
+        slice(first).lerp(slice(first + nx * ny), f.z)
+    }
+
     /// Twice the trilinearly interpolated central differences along x, y, z at a point: what
     /// [`GradientFrame`](crate::volume::gradient::GradientFrame) takes.
     #[inline(always)]

@@ -133,14 +133,14 @@ impl RenderRequest {
         let view = self.view(volume)?;
         let level = self.level(volume, &view)?;
         let look = self.look(volume, presets, level, None)?;
-        render::check(volume, &view, &look.settings).map_err(refused)?;
+        let labelled = self.labels.is_some();
+        render::check(volume, labelled, &view, &look.settings).map_err(refused)?;
         let shown = self.regions.iter().enumerate().map(|(index, region)| {
             let look = self.look(volume, presets, level, Some((index, region)))?;
-            render::check(volume, &view, &look.settings).map_err(refused)?;
-            let of_voxels = matches!(look.settings.algorithm, Algorithm::Classified | Algorithm::FastClassification)
-                || self.is_of_voxels(volume) && look.settings.algorithm != Algorithm::Raycast;
+            render::check(volume, labelled, &view, &look.settings).map_err(refused)?;
+            let of_voxels = matches!(look.settings.algorithm, Algorithm::Classified | Algorithm::FastClassification);
             if of_voxels && region.projection.is_some() != self.projection.is_some() {
-                let detail = "projections beside what is composited go with preintegrated (of scalars) and raycast";
+                let detail = "projections beside what is composited go with preintegrated and raycast";
                 return Err(RequestError::refused(&format!("/regions/{index}/blend"), detail));
             }
             Ok(RegionLook { shape: region.shape.clone(), look: Some(look) })
@@ -226,10 +226,6 @@ impl RenderRequest {
         if volume.colors().is_none() && self.sampling.is_some() {
             return Err(RequestError::refused("/sampling", "belongs to colour volumes, and this one is of scalars"));
         }
-        if self.is_of_voxels(volume) && self.algorithm == AlgorithmChoice::Preintegrated && self.projection.is_none() {
-            let detail = "pre-integration is of scalars: colours and labels are rendered by classified, fast-classification and raycast";
-            return Err(RequestError::refused("/algorithm", detail));
-        }
         if let Some(labels) = &self.labels {
             if volume.colors().is_some() {
                 return Err(RequestError::refused("/labels", "belong to volumes of scalars"));
@@ -258,6 +254,11 @@ impl RenderRequest {
         volume.colors().is_some() || self.labels.is_some()
     }
 
+    /// True where nothing is projected, in no region either.
+    fn is_composited(&self) -> bool {
+        self.projection.is_none() && self.regions.iter().all(|region| region.projection.is_none())
+    }
+
     /// The level that is told, or else 0, and for drafts the finest whose voxels are larger than pixels, at least 1.
     fn level(&self, volume: &Volume, view: &View) -> Result<usize, RequestError> {
         let levels = pyramid::levels(volume.dims());
@@ -279,10 +280,11 @@ impl RenderRequest {
     /// `auto` is resolved from the request and the kind of the volume alone.
     fn algorithm(&self, volume: &Volume) -> Algorithm {
         match self.algorithm {
-            AlgorithmChoice::Auto if self.is_of_voxels(volume) && self.projection.is_none() => match self.quality {
-                Quality::Draft | Quality::Standard => Algorithm::Classified,
-                Quality::High => Algorithm::Raycast,
-            },
+            AlgorithmChoice::Auto
+                if self.is_of_voxels(volume) && self.is_composited() && self.quality != Quality::High =>
+            {
+                Algorithm::Classified
+            }
             AlgorithmChoice::Auto | AlgorithmChoice::Preintegrated => Algorithm::Preintegrated,
             AlgorithmChoice::Classified => Algorithm::Classified,
             AlgorithmChoice::FastClassification => Algorithm::FastClassification,

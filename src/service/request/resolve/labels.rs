@@ -88,7 +88,10 @@ impl Look {
         }
         // What is skipped is transparent for every label.
         self.transfer = union(transfers(), volume.smallest_spacing());
-        let min_opacity = if self.settings.algorithm == Algorithm::Raycast { 0.0 } else { self.min_opacity };
+        let min_opacity = match self.settings.algorithm {
+            Algorithm::Classified | Algorithm::FastClassification => self.min_opacity,
+            Algorithm::Preintegrated | Algorithm::Raycast => 0.0,
+        };
         self.min_opacity = 0.0;
         self.labels = Some(ResolvedLabels { volume: labels.volume.clone(), looks, others, min_opacity });
         Ok(self)
