@@ -26,8 +26,8 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::awake;
-use super::intermediate::Spare;
 use super::ranges::hull;
+use super::spare::Spare;
 use super::view::View;
 use crate::simd::masks::WORD;
 use crate::simd::wide::{CellRow, INTEGER, LANES, Lanes, MANTISSA, Wide};

@@ -4,7 +4,7 @@ use glam::Vec4;
 use rayon::prelude::*;
 
 use super::Background;
-use super::intermediate::Spare;
+use super::spare::Spare;
 use super::warp::Warp;
 
 static SPARE_PIXELS: Spare<u8> = Spare::none();

@@ -12,7 +12,6 @@
 //! the volume is linear in its pixels, as the warp's filter is.
 
 use std::ops::Range;
-use std::sync::{Mutex, PoisonError};
 
 use glam::Vec4;
 use rayon::prelude::*;
@@ -20,6 +19,7 @@ use rayon::prelude::*;
 use super::Background;
 use super::pixel::{BLOCK, Pixel, WORD, nearest};
 use super::ranges::hull;
+use super::spare::Spare;
 
 /// So many pixels behind a scanline's last may be taken with it, where nothing is added to them.
 const BESIDE: usize = WORD;
@@ -36,36 +36,7 @@ pub const ONE: i16 = 255 << ONE_SHIFT;
 /// Bits of a [`Fixed`] pixel below a step of 8 bits.
 pub const ONE_SHIFT: u32 = 7;
 
-/// Memory that is not needed any more, for the next frame. What the system gives anew costs a fault for every
-/// page, which together took as long as a warp.
-#[derive(Debug)]
-pub struct Spare<T>(Mutex<Vec<Vec<T>>>);
-
 static SPARE_IMAGES: Spare<Fixed> = Spare::none();
-
-impl<T> Spare<T> {
-    /// So many are kept at most, of so many bytes.
-    const COUNT: usize = 8;
-    const BYTES: usize = 8 << 20;
-
-    /// None yet.
-    pub const fn none() -> Self {
-        Self(Mutex::new(vec![]))
-    }
-
-    /// Some of it; what is in it is of another frame.
-    pub fn take(&self) -> Vec<T> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
-    }
-
-    /// Memory that is not needed any more.
-    pub fn give(&self, pixels: Vec<T>) {
-        let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if pixels.capacity() * size_of::<T>() <= Self::BYTES && spare.len() < Self::COUNT {
-            spare.push(pixels);
-        }
-    }
-}
 
 /// An image in sheared space.
 #[derive(Debug)]

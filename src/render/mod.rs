@@ -19,6 +19,7 @@ pub mod shadow;
 mod shear_image;
 mod shear_warp;
 pub mod slab;
+pub mod spare;
 pub mod view;
 pub mod warp;
 

@@ -8,8 +8,9 @@ use std::fmt::Debug;
 
 use glam::Vec4;
 
-use super::intermediate::{Fixed, ONE, Spare, fixed};
+use super::intermediate::{Fixed, ONE, fixed};
 use super::simd::shorts::{FOUR, Short, ShortWeights, Shorts, UNIT};
+use super::spare::Spare;
 
 /// Pixels of a mask word.
 pub const WORD: usize = 64;

@@ -32,6 +32,23 @@ use crate::volume::gradient::Code;
 use crate::volume::scanlines::{AnyScanlines, Scanlines, turn};
 use crate::volume::{PreparedVolume, Volume};
 
+/// Takes from light, told by factors on colours and addends to them, what is lacking of the light that casts shadows: so much of all of
+/// it. `in_shadow` is what is left without.
+#[inline(always)]
+pub fn darken<const N: usize>(light: &mut [[f32; N]; 2], in_shadow: &[[f32; N]; 2], lacking: [f32; N]) {
+    for (light, in_shadow) in light.iter_mut().zip(in_shadow) {
+        for n in 0..N {
+            light[n] += (in_shadow[n] - light[n]) * lacking[n];
+        }
+    }
+}
+
+/// 255ths as a fraction.
+#[inline(always)]
+pub fn part_of(lacking: u8) -> f32 {
+    f32::from(lacking) / 255.0
+}
+
 /// Slices before a voxel's own that cast no shadow on it.
 pub const BIAS: usize = 4;
 

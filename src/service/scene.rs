@@ -24,7 +24,7 @@ use xxhash_rust::xxh3::xxh3_128;
 use super::App;
 use super::error::Problem;
 use crate::render::depth::SceneDepth;
-use crate::render::intermediate::Spare;
+use crate::render::spare::Spare;
 use crate::render::{Image, View};
 
 const OCTETS: &str = "application/octet-stream";

@@ -27,8 +27,8 @@ use super::sources::Stored;
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::Slabs;
 use crate::render::factorization::{Factorization, SlicePlacement};
-use crate::render::material::shadowed;
 use crate::render::ray_light::RayLight;
+use crate::render::shadow::{darken, part_of};
 use crate::render::simd::{self, Kernel, prefetch};
 use crate::volume::Volume;
 use crate::volume::gradient::{Code, GradientFrame, Gradients, magnitudes, normals};
@@ -113,14 +113,9 @@ impl<'a, T: Code> VoxelRows<'a, T> {
     #[inline(always)]
     fn quad(&self, [first, j, k]: [usize; 3]) -> [Vec4; QUAD] {
         let codes = self.four([first, j, k]);
-        let ([mut factor, mut addend], mut density) = (self.light(&self.light, [first, j, k]), [1.0; QUAD]);
-        if let Some((light, lacking)) = &self.shadow {
-            let without = self.light(light, [first, j, k]);
-            let lacking = lacking.four([first, j, k]);
-            for n in 0..QUAD {
-                factor[n] += (without[0][n] - factor[n]) * shadowed(lacking[n]);
-                addend[n] += (without[1][n] - addend[n]) * shadowed(lacking[n]);
-            }
+        let (mut light, mut density) = (self.light(&self.light, [first, j, k]), [1.0; QUAD]);
+        if let Some((in_shadow, lacking)) = &self.shadow {
+            darken(&mut light, &self.light(in_shadow, [first, j, k]), lacking.four([first, j, k]).map(part_of));
         }
         if self.has_gradient_opacity() {
             for (n, density) in density.iter_mut().enumerate() {
@@ -129,7 +124,7 @@ impl<'a, T: Code> VoxelRows<'a, T> {
         }
         let mut samples = [Vec4::ZERO; QUAD];
         for n in 0..QUAD {
-            samples[n] = Vec4::new(codes[n].as_f32(), factor[n], addend[n], density[n]);
+            samples[n] = Vec4::new(codes[n].as_f32(), light[0][n], light[1][n], density[n]);
         }
         samples
     }

@@ -21,6 +21,7 @@ use super::{Frame, Pixels};
 use crate::classify::TransferFunction;
 use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional};
 use crate::render::lighting::Lighting;
+use crate::render::shadow::darken;
 use crate::render::{DepthCueing, Lookup, OpacityCorrection, RenderError, Scene, SlabTable, Timings};
 use crate::simd::numbers::{Numbers, exp};
 use crate::simd::wide::{LANES, Lanes, Portable, Wide, rows};
@@ -484,7 +485,7 @@ impl<T: Code, M: Medium<T>, const LIT: bool, const SCALED: bool> Composite<'_, T
                     let [dark_factors, dark_addends] = in_shadow.shade(gradients, to_eye);
                     let mut light = [factors.store(), addends.store()];
                     let in_shadow = [dark_factors.store(), dark_addends.store()];
-                    darken(&mut light, &in_shadow, lacking, packet, middles);
+                    darken(&mut light, &in_shadow, lacking_at(lacking, packet, middles));
                     (factors, addends) = (W::Numbers::load(&light[0]), W::Numbers::load(&light[1]));
                 }
                 let [kept_factors, kept_addends] = &mut state.light;
@@ -584,21 +585,14 @@ impl<T: Code, M: Medium<T>, const LIT: bool, const SCALED: bool> Composite<'_, T
     }
 }
 
-/// Takes from `light` what of it the middles of slabs lack.
+/// How much of the light that casts shadows the middles of slabs lack.
 #[inline(never)]
-fn darken(
-    light: &mut [Lanes; 2],
-    in_shadow: &[Lanes; 2],
-    lacking: &Sampler<'_, u8>,
-    packet: &Packet,
-    middles: Middles<'_>,
-) {
+fn lacking_at(lacking: &Sampler<'_, u8>, packet: &Packet, middles: Middles<'_>) -> Lanes {
+    let mut parts = [0.0; LANES];
     for lane in 0..LANES {
-        let lacking = lacking.scalar(lacking.position(packet, lane, middles.of(lane))) / 255.0;
-        for (light, in_shadow) in light.iter_mut().zip(in_shadow) {
-            light[lane] += (in_shadow[lane] - light[lane]) * lacking;
-        }
+        parts[lane] = lacking.scalar(lacking.position(packet, lane, middles.of(lane))) / 255.0;
     }
+    parts
 }
 
 /// Lengths of vectors, told by component.
