@@ -70,7 +70,7 @@ impl Lighting {
             };
             factors = factors + V::all(diffuse) * cosines(normal, towards);
             if specular > 0.0 {
-                addends = addends + V::all(specular) * raise(cosines(normal, half), self.shininess);
+                addends = addends + V::all(specular) * raise::<V, false>(cosines(normal, half), self.shininess);
             }
         }
         let steep = x.abs() + y.abs() + z.abs();
@@ -125,11 +125,12 @@ impl AxialDepth {
 /// multiply far slower.
 const DARK: f32 = 1e-18;
 
-/// Raises cosines (0..=1) to the shininess, its whole part and the rest: the former by squaring.
+/// Raises cosines (0..=1) to the shininess, its whole part and the rest: the former by squaring. `WHOLE`: there is no rest, and what is computed
+/// beside need not make way for a call.
 #[inline(always)]
-pub(super) fn raise<V: Numbers>(mut cosines: V, (whole, fraction): (u32, f32)) -> V {
+pub(super) fn raise<V: Numbers, const WHOLE: bool>(mut cosines: V, (whole, fraction): (u32, f32)) -> V {
     let dark = V::all(DARK);
-    let mut powers = if fraction > 0.0 { cosines.powf(fraction) } else { V::all(1.0) };
+    let mut powers = if !WHOLE && fraction > 0.0 { cosines.powf(fraction) } else { V::all(1.0) };
     let mut bits = whole;
     while bits > 0 {
         if bits & 1 == 1 {
@@ -159,7 +160,7 @@ mod tests {
         for exponent in [0.0, 1.0, 2.5, 20.0, 33.25f32] {
             let values = [0.0f32, 0.3, 0.9, 0.99, 1.0];
             let expected = values.map(|v| v.powf(exponent));
-            let Array(values) = raise(Array(values), (exponent as u32, exponent.fract()));
+            let Array(values) = raise::<_, false>(Array(values), (exponent as u32, exponent.fract()));
             for (value, expected) in values.iter().zip(expected) {
                 assert!((value - expected).abs() < 1e-5, "{exponent}: {value} {expected}");
             }

@@ -78,19 +78,29 @@ impl Kernel for Fill<'_> {
 
     #[inline(always)]
     fn run(self) {
-        self.fill::<Portable>();
+        self.any::<Portable>();
     }
 
     #[cfg(target_arch = "x86_64")]
     #[inline(always)]
     fn run_avx2(self) {
-        self.fill::<Avx2>();
+        self.any::<Avx2>();
     }
 }
 
 impl Fill<'_> {
+    /// Most exponents are whole.
     #[inline(always)]
-    fn fill<W: Wide>(self) {
+    fn any<W: Wide>(self) {
+        if self.shading.shininess.fract() as f32 > 0.0 {
+            self.fill::<W, false>();
+        } else {
+            self.fill::<W, true>();
+        }
+    }
+
+    #[inline(always)]
+    fn fill<W: Wide, const WHOLE: bool>(self) {
         let shininess = (self.shading.shininess as u32, self.shading.shininess.fract() as f32);
         let [x, y, z] = self.normals;
         let normals = x.as_chunks().0.iter().zip(y.as_chunks().0).zip(z.as_chunks().0);
@@ -101,7 +111,7 @@ impl Fill<'_> {
                 let along = cosines(normal, everywhere::<W>(towards));
                 factors = factors + W::Numbers::all(*diffuse) * along;
                 if *specular > 0.0 {
-                    let highlights = raise(cosines(normal, everywhere::<W>(half)), shininess);
+                    let highlights = raise::<_, WHOLE>(cosines(normal, everywhere::<W>(half)), shininess);
                     addends = addends + W::Numbers::all(*specular) * highlights;
                 }
             }
