@@ -31,7 +31,7 @@ use crate::classify::CodeTables;
 use crate::classify::rle::Voxel;
 pub use light::{AnyLight, ByNormal, ByRay, Light, Shadowless, Unlit};
 pub use painted::{Paint, Painted};
-pub use shorts::{ANY_CODE, ShortLights, ShortMaterial, ShortTables};
+pub use shorts::{ANY_CODE, NoShadow, Shadowed, ShortLights, ShortMaterial, ShortShadow, ShortTables};
 
 /// Colour and opacity by code, for a ray's length through a slice.
 #[derive(Clone, Debug)]

@@ -142,6 +142,16 @@ enum LightTable {
     ByRay(RayLight),
 }
 
+impl LightTable {
+    /// That of parallel rays, if there is light.
+    fn by_normal(&self) -> Option<&ShadingTable> {
+        match self {
+            Self::ByNormal(table) => Some(table),
+            Self::Off | Self::ByRay(_) => None,
+        }
+    }
+}
+
 impl Tables {
     fn new(scene: &Scene<'_>, settings: &Settings, factorization: &Factorization) -> Self {
         let volume = scene.prepared.volume();

@@ -67,6 +67,9 @@ pub trait Shorts: Masks {
     /// which something is left are where they are to be or, if they are `PACKED`, one after the other.
     fn shade<const PACKED: bool>(entries: [Short; FOUR], lights: [ShortLight; FOUR], marked: u64) -> [Short; FOUR];
 
+    /// Takes from lights what is lacking of the one that casts shadows, in 255ths of it; `in_shadow` are those without.
+    fn darken(lights: [ShortLight; FOUR], in_shadow: [ShortLight; FOUR], lacking: [u8; FOUR]) -> [ShortLight; FOUR];
+
     /// Samples of four voxels: their lights, and their scalars, which are a power of two for each code above a first one.
     fn voxels(codes: [u16; FOUR], lights: [ShortLight; FOUR], scalars: Scalars, out: &mut [Short; FOUR]);
 
@@ -238,6 +241,18 @@ impl Shorts for Portable {
     }
 
     #[inline(always)]
+    fn darken(
+        mut lights: [ShortLight; FOUR],
+        in_shadow: [ShortLight; FOUR],
+        lacking: [u8; FOUR],
+    ) -> [ShortLight; FOUR] {
+        for n in 0..FOUR {
+            lights[n] = darkened(lights[n], in_shadow[n], lacking[n]);
+        }
+        lights
+    }
+
+    #[inline(always)]
     fn voxels(codes: [u16; FOUR], lights: [ShortLight; FOUR], scalars: Scalars, out: &mut [Short; FOUR]) {
         for n in 0..FOUR {
             let [factor, addend] = lights[n];
@@ -273,6 +288,14 @@ impl Shorts for Portable {
         }
         over(pixels, slabs, limit, touched)
     }
+}
+
+/// What is left of a light that lacks so many 255ths of what it has more than `in_shadow`.
+#[inline(always)]
+pub fn darkened(light: ShortLight, in_shadow: ShortLight, lacking: u8) -> ShortLight {
+    // 255 becomes all 15 bits.
+    let part = i16::from(lacking) << 7 | i16::from(lacking) >> 1;
+    [0, 1].map(|n| light[n] + times(in_shadow[n] - light[n], part))
 }
 
 /// Blends samples behind those pixels that are touched; gives which are opaque.

@@ -5,11 +5,12 @@ use shearwarp::classify::labels::{LabelLook, LabelTables, Labels, union};
 use shearwarp::classify::{GradientPoint, TransferFunction};
 use shearwarp::render::shadow::{BIAS, Shadow};
 use shearwarp::render::{
-    Algorithm, Ball, Cancel, Clip, HalfSpace, Image, Light, Projection, Scene, Settings, Shading, View, render,
+    Algorithm, Ball, Cancel, Clip, DepthCueing, HalfSpace, Image, Light, Projection, Scene, Settings, Shading, View,
+    render,
 };
 use shearwarp::volume::{ImportReport, PreparedVolume, ScalarType, Scalars, Volume, phantom};
 
-use crate::scenes::{ANGLES, Prepared, high, on_threads, orbit, plain, psnr, transfer};
+use crate::scenes::{ANGLES, Prepared, high, on_threads, orbit, plain, premultiplied, psnr, transfer};
 
 /// What shows so little that it casts no shadow.
 const FAINT: f64 = 1e-7;
@@ -233,13 +234,20 @@ fn labels_cast_shadows_by_their_own_gradient_opacity() {
 
 #[test]
 fn frames_with_shadows_are_those_of_their_twins() {
-    let scene = Prepared::new(lumps([70, 39, 44], [1.0, 0.8, 1.3]), soft(), 0.0);
-    let shadow = cast(&scene, [-0.5, 1.0, 0.6]);
-    for threads in [1, 3] {
-        assert!(shadow == on_threads(threads, || cast(&scene, [-0.5, 1.0, 0.6])), "{threads} threads change shadows");
-    }
-    for projection in [Projection::Parallel, Projection::Perspective] {
-        for (azimuth, elevation) in ANGLES {
+    // Fractions are too coarse for much of the first one, and serve the second.
+    let mut by_fractions = 0;
+    for transfer in [soft(), transfer(&[(0.0, 0.0), (30.0, 0.0), (30.0, 0.1), (255.0, 0.3)])] {
+        let scene = Prepared::new(lumps([70, 39, 44], [1.0, 0.8, 1.3]), transfer, 0.0);
+        let shadow = cast(&scene, [-0.5, 1.0, 0.6]);
+        for threads in [1, 3] {
+            assert!(
+                shadow == on_threads(threads, || cast(&scene, [-0.5, 1.0, 0.6])),
+                "{threads} threads change shadows"
+            );
+        }
+        for (projection, (azimuth, elevation)) in
+            [Projection::Parallel, Projection::Perspective].into_iter().flat_map(|p| ANGLES.map(|angles| (p, angles)))
+        {
             let view = scene.view(&orbit(projection, azimuth, elevation), 70, 60);
             let shadowed = |algorithm: Algorithm, encoded: bool, settings: &Settings| {
                 let scene = Scene { shadow: Some(&shadow), ..scene.scene(algorithm, encoded) };
@@ -259,9 +267,17 @@ fn frames_with_shadows_are_those_of_their_twins() {
                     let fast = shadowed(Algorithm::FastClassification, false, &settings);
                     assert!(all == fast, "{projection:?} {azimuth} {elevation}");
                 }
+                // Depth cueing of no density fades nothing, but asks for floats.
+                let clear = Some(DepthCueing { front: 1.0, density: 0.0 });
+                let floats = shadowed(algorithm, true, &Settings { depth_cueing: clear, ..settings.clone() });
+                by_fractions += u32::from(all != floats);
+                let off = premultiplied(&all).flatten().zip(premultiplied(&floats).flatten());
+                let off = off.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                assert!(off <= 3.0, "{off}: {projection:?} {azimuth} {elevation} {settings:?}");
             }
         }
     }
+    assert!(by_fractions > 20, "{by_fractions}");
 }
 
 #[test]

@@ -18,7 +18,7 @@ use crate::classify::preintegration::Slabs;
 use crate::render::bands;
 use crate::render::factorization::{Factorization, Halves, Holes, SlicePlacement};
 use crate::render::intermediate::{BandBuffer, IntermediateImage};
-use crate::render::material::{Shader, SliceShader};
+use crate::render::material::{Shader, ShortShadow, SliceShader};
 use crate::render::pixel::Pixel;
 use crate::render::simd::shorts::Short;
 use crate::render::slab::{Correction, opacity_ratio};
@@ -162,7 +162,7 @@ impl<L: NaiveLattice, S: Slabs, C: Correction> NaiveSlabs<L> for FloatSlabs<'_, 
     }
 }
 
-impl<T: Code> NaiveSlabs<Unit> for ShortSlabs<'_, T> {
+impl<T: Code, D: ShortShadow> NaiveSlabs<Unit> for ShortSlabs<'_, T, D> {
     fn sample_at(&self, _: &Factorization, position: &Position<SlicePlacement>, pixel: [usize; 2]) -> Short {
         self.sample_at(position, pixel)
     }

@@ -4,7 +4,7 @@
 //! once for as long as its scanline is in a row buffer, and asks for those that lie behind them; pixels are sampled, looked up and blended by aligned fours, too. What is
 //! asked for is told by words of masks, so that no run of pixels or voxels ends a loop.
 //!
-//! Fractions serve what is looked up as it is: between two slices of voxels, with neither gradient opacity nor shadows, and not
+//! Fractions serve what is looked up as it is: between two slices of voxels, without gradient opacity, and not
 //! faded. Where clipping leaves a part of a slab, that pixel's is looked up by itself.
 
 use std::ops::Range;
@@ -17,7 +17,7 @@ use super::slabs::{BufferRow, SlabScanline, SlabSource};
 use crate::classify::preintegration::ShortSlabTable;
 use crate::render::factorization::{Factorization, SlicePlacement};
 use crate::render::intermediate::ScanlineMut;
-use crate::render::material::{ANY_CODE, ShortLights};
+use crate::render::material::{ANY_CODE, ShortLights, ShortShadow};
 use crate::render::pixel::{Pixel, first_four, nearest};
 use crate::render::simd::prefetch_at;
 use crate::render::simd::shorts::{FOUR, Short, ShortLight, Shorts};
@@ -28,25 +28,27 @@ use crate::volume::scanlines::{Scanlines, four_of};
 
 /// Voxels, and the table that slabs between them are looked up in.
 #[derive(Clone, Copy, Debug)]
-pub struct ShortSlabs<'a, T> {
+pub struct ShortSlabs<'a, T, D> {
     scanlines: Scanlines<'a, T>,
     /// Normals and what lights them, if anything does.
     light: Option<(Scanlines<'a, u16>, &'a [ShortLight; ANY_CODE])>,
+    shadow: D,
     /// Slices are walked from the last to the first.
     reversed: bool,
     table: &'a ShortSlabTable,
 }
 
-impl<'a, T: Code> ShortSlabs<'a, T> {
+impl<'a, T: Code, D: ShortShadow> ShortSlabs<'a, T, D> {
     /// `scanlines` and normals are those of the factorization's principal axis.
     pub fn new(
         scanlines: Scanlines<'a, T>,
         light: Option<(Scanlines<'a, u16>, &'a ShortLights)>,
+        shadow: D,
         factorization: &Factorization,
         table: &'a ShortSlabTable,
     ) -> Self {
         let light = light.map(|(normals, lights)| (normals, lights.by_any_code()));
-        Self { scanlines, light, reversed: factorization.reversed, table }
+        Self { scanlines, light, shadow, reversed: factorization.reversed, table }
     }
 
     /// Scanline `j` of slice `k`.
@@ -55,9 +57,9 @@ impl<'a, T: Code> ShortSlabs<'a, T> {
         (self.scanlines.row(j, k), self.light.map_or(&[], |(normals, _)| normals.row(j, k)))
     }
 
-    /// Samples of four voxels of a scanline, its last one repeated past its end; in place of a position there is a scalar.
+    /// Samples of four voxels from (i, j, k) on, of their scanline, its last one repeated past its end; in place of a position there is a scalar.
     #[inline(always)]
-    fn four<W: Shorts>(&self, (codes, normals): Scanline<'_, T>, i: usize, out: &mut [Short; FOUR]) {
+    fn four<W: Shorts>(&self, (codes, normals): Scanline<'_, T>, [i, j, k]: [usize; 3], out: &mut [Short; FOUR]) {
         let four = four_of(codes, i);
         let mut codes = [0; FOUR];
         for n in 0..FOUR {
@@ -69,6 +71,7 @@ impl<'a, T: Code> ShortSlabs<'a, T> {
             for n in 0..FOUR {
                 lights[n] = table[usize::from(normals[n])];
             }
+            lights = self.shadow.four::<W, false>(lights, normals, [i, j, k], u64::MAX);
         }
         W::voxels(codes, lights, self.table.axis().scalars(), out);
     }
@@ -81,7 +84,7 @@ impl<'a, T: Code> ShortSlabs<'a, T> {
             [0, 1].map(|axis| [pixel[axis], pixel[axis] + 1].map(|at| at.saturating_sub(first[axis]).min(last[axis])));
         let voxel = |i: usize, j: usize| {
             let mut four = [Short::CLEAR; FOUR];
-            self.four::<Portable>(self.scanline(j, position.near), i, &mut four);
+            self.four::<Portable>(self.scanline(j, position.near), [i, j, position.near], &mut four);
             four[0]
         };
         let row = |j: usize| i.map(|i| voxel(i, j));
@@ -106,7 +109,7 @@ impl<'a, T: Code> ShortSlabs<'a, T> {
                 let Some(out) = row.voxels[i + BESIDE..].first_chunk_mut() else {
                     unreachable!("there are voxels for whole words")
                 };
-                self.four::<W>(scanline, i, out);
+                self.four::<W>(scanline, [i, j, k], out);
                 if i == 0 {
                     row.voxels[BESIDE - 1] = row.voxels[BESIDE];
                 }
@@ -222,7 +225,7 @@ pub struct ShortRows {
     within: Vec<u64>,
 }
 
-impl<T: Code> SlabSource<Unit> for ShortSlabs<'_, T> {
+impl<T: Code, D: ShortShadow> SlabSource<Unit> for ShortSlabs<'_, T, D> {
     type Pixel = Short;
     type Sample = Short;
     type Rows = ShortRows;

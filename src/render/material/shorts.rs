@@ -1,16 +1,18 @@
 //! Tables of 16-bit fractions, and the [`Shader`] that reads them.
 
+use std::fmt::Debug;
+
 use glam::Vec4;
 
 use super::{Shader, SliceShader, VoxelWord, depths, opacities, shares, table_of};
 use crate::classify::CodeTables;
 use crate::classify::rle::Voxel;
-use crate::render::composite::sources::VoxelSource;
+use crate::render::composite::sources::{Stored, VoxelSource};
 use crate::render::factorization::Factorization;
 use crate::render::pixel::{WORD, first_four, nearest, short};
 use crate::render::shade::ShadingTable;
 use crate::render::simd::numbers::Numbers;
-use crate::render::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT};
+use crate::render::simd::shorts::{FOUR, Short, ShortLight, Shorts, UNIT, darkened};
 #[cfg(target_arch = "x86_64")]
 use crate::render::simd::wide::Avx2;
 use crate::render::simd::wide::{LANES, Lanes, Portable, Wide, least};
@@ -31,6 +33,8 @@ pub struct ShortTables {
     /// By how many intervals a slice stands for. Premultiplied colour, not lit yet, and opacity.
     entries: Vec<(f64, Vec<Short>)>,
     lights: ShortLights,
+    /// The same without the light that casts shadows, if one does.
+    in_shadow: Option<ShortLights>,
 }
 
 impl Drop for ShortTables {
@@ -181,9 +185,19 @@ impl ShortTables {
     /// medium by less than 1 in 255.
     const LEAST_OPACITY: f32 = 1.0 / 512.0;
 
-    /// For the view's slice distance; `None` where they would hold what 16 bits are too coarse or too few for.
-    pub fn new(tables: &CodeTables, factorization: &Factorization, shading: Option<&ShadingTable>) -> Option<Self> {
-        let mut short = Self { entries: vec![], lights: ShortLights::new(shading)? };
+    /// For the view's slice distance; `None` where they would hold what 16 bits are too coarse or too few for. `in_shadow` is the light without that which
+    /// casts shadows.
+    pub fn new(
+        tables: &CodeTables,
+        factorization: &Factorization,
+        shading: Option<&ShadingTable>,
+        in_shadow: Option<&ShadingTable>,
+    ) -> Option<Self> {
+        let in_shadow = match in_shadow {
+            None => None,
+            in_shadow => Some(ShortLights::new(in_shadow)?),
+        };
+        let mut short = Self { entries: vec![], lights: ShortLights::new(shading)?, in_shadow };
         let shares = shares(factorization);
         for &share in &shares {
             let mut entries = for_any_code(&SPARE_ENTRIES);
@@ -199,38 +213,149 @@ impl ShortTables {
     }
 }
 
-/// The [`Shader`] of 16-bit fractions.
-#[derive(Clone, Copy, Debug)]
-pub struct ShortMaterial<'a>(pub &'a ShortTables);
+/// Shadows on voxels.
+pub trait ShortShadow: Copy + Debug + Send + Sync {
+    /// The light of voxel (i, j, k), which without shadows is `light`.
+    fn one(self, light: ShortLight, normal: u16, at: [usize; 3]) -> ShortLight;
 
-/// A [`ShortMaterial`] for the voxels of one slice.
-#[derive(Clone, Copy, Debug)]
-pub struct ShortSlice<'a> {
-    table: &'a [Short; ANY_CODE],
-    lights: &'a [ShortLight; ANY_CODE],
+    /// The same of four voxels from (i, j, k) on or, if they are `PACKED`, of those of them whose bits are set in `marked`, one after the other.
+    fn four<W: Shorts, const PACKED: bool>(
+        self,
+        lights: [ShortLight; FOUR],
+        normals: [u16; FOUR],
+        at: [usize; 3],
+        marked: u64,
+    ) -> [ShortLight; FOUR];
 }
 
-impl<'a> Shader for ShortMaterial<'a> {
-    type Slice = ShortSlice<'a>;
+/// None.
+#[derive(Clone, Copy, Debug)]
+pub struct NoShadow;
+
+impl ShortShadow for NoShadow {
+    #[inline(always)]
+    fn one(self, light: ShortLight, _: u16, _: [usize; 3]) -> ShortLight {
+        light
+    }
 
     #[inline(always)]
-    fn slice(&self, share: f64) -> ShortSlice<'a> {
-        let Some(table) = table_of(&self.0.entries, share).first_chunk() else {
-            unreachable!("tables are for any code")
-        };
-        ShortSlice { table, lights: self.0.lights.by_any_code() }
+    fn four<W: Shorts, const PACKED: bool>(
+        self,
+        lights: [ShortLight; FOUR],
+        _: [u16; FOUR],
+        _: [usize; 3],
+        _: u64,
+    ) -> [ShortLight; FOUR] {
+        lights
     }
 }
 
-impl SliceShader for ShortSlice<'_> {
+/// Those of one light: what is left without it, and how much of it each voxel lacks, in 255ths.
+#[derive(Clone, Copy, Debug)]
+pub struct Shadowed<'a> {
+    pub in_shadow: &'a [ShortLight; ANY_CODE],
+    pub lacking: Stored<'a, u8>,
+}
+
+/// Of four, by their bits: those that are set, one after the other.
+const PACKED_ORDER: [[u8; FOUR]; 16] = {
+    let mut order = [[0; FOUR]; 16];
+    let mut bits = 0;
+    while bits < order.len() {
+        let (mut n, mut next) = (0, 0);
+        while n < FOUR {
+            if bits >> n & 1 == 1 {
+                order[bits][next] = n as u8;
+                next += 1;
+            }
+            n += 1;
+        }
+        bits += 1;
+    }
+    order
+};
+
+impl ShortShadow for Shadowed<'_> {
+    #[inline(always)]
+    fn one(self, light: ShortLight, normal: u16, at: [usize; 3]) -> ShortLight {
+        darkened(light, self.in_shadow[usize::from(normal)], self.lacking.at(at))
+    }
+
+    #[inline(always)]
+    fn four<W: Shorts, const PACKED: bool>(
+        self,
+        lights: [ShortLight; FOUR],
+        normals: [u16; FOUR],
+        at: [usize; 3],
+        marked: u64,
+    ) -> [ShortLight; FOUR] {
+        let mut lacking = self.lacking.four(at);
+        if PACKED {
+            let (all, order) = (lacking, PACKED_ORDER[marked as usize % 16]);
+            for n in 0..FOUR {
+                lacking[n] = all[usize::from(order[n])];
+            }
+        }
+        let mut in_shadow = [[0; 2]; FOUR];
+        for n in 0..FOUR {
+            in_shadow[n] = self.in_shadow[usize::from(normals[n])];
+        }
+        W::darken(lights, in_shadow, lacking)
+    }
+}
+
+/// The [`Shader`] of 16-bit fractions.
+#[derive(Clone, Copy, Debug)]
+pub struct ShortMaterial<'a, D> {
+    tables: &'a ShortTables,
+    shadow: D,
+}
+
+impl<'a> ShortMaterial<'a, NoShadow> {
+    /// Without shadows.
+    pub fn new(tables: &'a ShortTables) -> Self {
+        Self { tables, shadow: NoShadow }
+    }
+}
+
+impl<'a> ShortMaterial<'a, Shadowed<'a>> {
+    /// With those of the light that the tables tell apart, if they do; `lacking`: how much of it voxels lack, in 255ths.
+    pub fn shadowed(tables: &'a ShortTables, lacking: Stored<'a, u8>) -> Option<Self> {
+        let in_shadow = tables.in_shadow.as_ref()?.by_any_code();
+        Some(Self { tables, shadow: Shadowed { in_shadow, lacking } })
+    }
+}
+
+/// A [`ShortMaterial`] for the voxels of one slice.
+#[derive(Clone, Copy, Debug)]
+pub struct ShortSlice<'a, D> {
+    table: &'a [Short; ANY_CODE],
+    lights: &'a [ShortLight; ANY_CODE],
+    shadow: D,
+}
+
+impl<'a, D: ShortShadow> Shader for ShortMaterial<'a, D> {
+    type Slice = ShortSlice<'a, D>;
+
+    #[inline(always)]
+    fn slice(&self, share: f64) -> ShortSlice<'a, D> {
+        let Some(table) = table_of(&self.tables.entries, share).first_chunk() else {
+            unreachable!("tables are for any code")
+        };
+        ShortSlice { table, lights: self.tables.lights.by_any_code(), shadow: self.shadow }
+    }
+}
+
+impl<D: ShortShadow> SliceShader for ShortSlice<'_, D> {
     type Pixel = Short;
     const LIT: bool = true;
     const FACTORED: bool = false;
     const PAINTED: bool = false;
 
     #[inline(always)]
-    fn voxel(&self, voxel: Voxel, _: u8, _: [usize; 3]) -> Short {
-        self.table[usize::from(voxel.code)].lit(self.lights[usize::from(voxel.normal)])
+    fn voxel(&self, voxel: Voxel, _: u8, at: [usize; 3]) -> Short {
+        let light = self.shadow.one(self.lights[usize::from(voxel.normal)], voxel.normal, at);
+        self.table[usize::from(voxel.code)].lit(light)
     }
 
     /// Four by four.
@@ -248,15 +373,19 @@ impl SliceShader for ShortSlice<'_> {
             let at = first_four(left);
             left &= left - 1;
             let four = source.four(word, at);
-            let (mut entries, mut lights) = ([Short::CLEAR; FOUR], [[0; 2]; FOUR]);
+            let (mut entries, mut lights, mut normals) = ([Short::CLEAR; FOUR], [[0; 2]; FOUR], [0; FOUR]);
             for n in 0..FOUR {
                 entries[n] = self.table[usize::from(four[n].code)];
                 lights[n] = self.lights[usize::from(four[n].normal)];
+                normals[n] = four[n].normal;
             }
+            let ([i, j, k], marked) = (word.at, word.marks >> at);
             let shaded = if V::PACKED {
-                W::shade::<true>(entries, lights, word.marks >> at)
+                let lights = self.shadow.four::<W, true>(lights, normals, [i + at, j, k], marked);
+                W::shade::<true>(entries, lights, marked)
             } else {
-                W::shade::<false>(entries, lights, word.marks >> at)
+                let lights = self.shadow.four::<W, false>(lights, normals, [i + at, j, k], marked);
+                W::shade::<false>(entries, lights, marked)
             };
             out[at..at + FOUR].copy_from_slice(&shaded);
         }

@@ -14,7 +14,7 @@ use crate::render::composite::short_slabs::ShortSlabs;
 use crate::render::composite::slabs::{Slab, SlabComposite};
 use crate::render::composite::sources::Stored;
 use crate::render::intermediate::IntermediateImage;
-use crate::render::material::ShortLights;
+use crate::render::material::{NoShadow, Shadowed, ShortLights, ShortShadow};
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
 use crate::render::{Lookup, OpacityCorrection, RenderError, SlabTable};
 use crate::volume::gradient::Code;
@@ -48,7 +48,7 @@ impl Pass<'_> {
             SlabTable::TwoDimensional => {
                 if let Some((table, lights)) = self.short_table(tables, slab_length, length) {
                     let preintegration_table = making.elapsed();
-                    let begun = self.with_shorts(&table, lights.as_ref(), image)?;
+                    let begun = self.with_shorts(&table, &lights, image)?;
                     return Ok(Begun { preintegration_table, ..begun });
                 }
                 let table = tables.table(form, slab_length);
@@ -62,45 +62,63 @@ impl Pass<'_> {
         }
     }
 
-    /// A table of 16-bit fractions for slabs of `slab_length` mm, which are `length` times as long in the view, and their lights, where these will do.
+    /// A table of 16-bit fractions for slabs of `slab_length` mm, which are `length` times as long in the view, and their lights with and without that which
+    /// casts shadows, where these will do.
     fn short_table(
         &self,
         tables: &SlabTables,
         slab_length: f32,
         length: f64,
-    ) -> Option<(Arc<ShortSlabTable>, Option<ShortLights>)> {
+    ) -> Option<(Arc<ShortSlabTable>, [Option<ShortLights>; 2])> {
         let options = &self.settings.preintegration;
         let as_it_is = self.factorization.is_parallel()
             && length == 1.0
             && options.samples_per_voxel == 1
             && options.lookup == Lookup::Bilinear;
-        let plain =
-            self.cue.is_none() && self.tables.in_shadow.is_none() && self.scene.transfer.gradient_opacity.is_empty();
+        let plain = self.cue.is_none() && self.scene.transfer.gradient_opacity.is_empty();
         if !(as_it_is && plain) {
             return None;
         }
-        let lights = match &self.tables.light {
-            LightTable::Off => None,
-            LightTable::ByNormal(shading) => Some(ShortLights::new(Some(shading))?),
-            LightTable::ByRay(_) => return None,
+        let lights = |table: Option<&LightTable>| match table {
+            None | Some(LightTable::Off) => Some(None),
+            Some(LightTable::ByNormal(shading)) => ShortLights::new(Some(shading)).map(Some),
+            Some(LightTable::ByRay(_)) => None,
         };
+        let lights = [lights(Some(&self.tables.light))?, lights(self.tables.in_shadow.as_ref())?];
         Some((tables.short_table(slab_length, self.factorization.layers())?, lights))
     }
 
     fn with_shorts(
         &self,
         table: &ShortSlabTable,
+        [lights, in_shadow]: &[Option<ShortLights>; 2],
+        image: &mut IntermediateImage,
+    ) -> Result<Begun, RenderError> {
+        let shadow = in_shadow.as_ref().zip(self.scene.shadow).map(|(in_shadow, shadow)| Shadowed {
+            in_shadow: in_shadow.by_any_code(),
+            lacking: Stored::new(shadow.lacking(), self.factorization),
+        });
+        match shadow {
+            Some(shadow) => self.with_shadow(table, lights.as_ref(), shadow, image),
+            None => self.with_shadow(table, lights.as_ref(), NoShadow, image),
+        }
+    }
+
+    fn with_shadow(
+        &self,
+        table: &ShortSlabTable,
         lights: Option<&ShortLights>,
+        shadow: impl ShortShadow,
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
         let Self { scene, factorization, .. } = *self;
         let light = lights.map(|lights| (scene.prepared.normals(factorization.principal_axis), lights));
         match scene.prepared.scanlines(factorization.principal_axis) {
             AnyScanlines::U8(scanlines) => {
-                self.with_slabs(Unit, ShortSlabs::new(scanlines, light, factorization, table), image)
+                self.with_slabs(Unit, ShortSlabs::new(scanlines, light, shadow, factorization, table), image)
             }
             AnyScanlines::U16(scanlines) => {
-                self.with_slabs(Unit, ShortSlabs::new(scanlines, light, factorization, table), image)
+                self.with_slabs(Unit, ShortSlabs::new(scanlines, light, shadow, factorization, table), image)
             }
         }
     }

@@ -16,7 +16,6 @@ use crate::render::material::{
     AnyLight, ByNormal, ByRay, Light, Material, Paint, Painted, Shader, Shadowless, ShortMaterial, ShortTables,
     SliceTables, Unlit,
 };
-use crate::render::shade::ShadingTable;
 use crate::render::{RenderError, Sampling};
 use crate::volume::Scalars;
 use crate::volume::gradient::Code;
@@ -56,25 +55,34 @@ impl Pass<'_> {
             let painted = Painted { light: self.any_light(), paint, sampling: self.settings.sampling };
             return self.with_lattice(source, painted, image);
         }
+        if let Some(tables) = self.shorts() {
+            let lacking = self.lacking();
+            return match lacking.and_then(|lacking| ShortMaterial::shadowed(&tables, lacking)) {
+                Some(shadowed) => self.with_material(Unit, source, shadowed, image),
+                None => self.with_material(Unit, source, ShortMaterial::new(&tables), image),
+            };
+        }
         match &self.tables.light {
             _ if self.tables.in_shadow.is_some() => self.with_lattice(source, self.any_light(), image),
             LightTable::ByRay(light) => self.with_light(Scaled, source, ByRay(light), image),
-            LightTable::ByNormal(table) => match self.shorts(Some(table)) {
-                Some(tables) => self.with_material(Unit, source, ShortMaterial(&tables), image),
-                None => self.with_light(Unit, source, ByNormal::new(table), image),
-            },
-            LightTable::Off => match self.shorts(None) {
-                Some(tables) => self.with_material(Unit, source, ShortMaterial(&tables), image),
-                None => self.with_lattice(source, Unlit, image),
-            },
+            LightTable::ByNormal(table) => self.with_light(Unit, source, ByNormal::new(table), image),
+            LightTable::Off => self.with_lattice(source, Unlit, image),
         }
     }
 
     /// Tables of 16-bit fractions, where these will do.
-    fn shorts(&self, shading: Option<&ShadingTable>) -> Option<ShortTables> {
-        let plain = self.factorization.is_parallel() && self.cue.is_none() && !self.is_factored();
-        let tables = self.classification.tables();
-        plain.then(|| ShortTables::new(tables, self.factorization, shading)).flatten()
+    fn shorts(&self) -> Option<ShortTables> {
+        if !self.factorization.is_parallel() || self.cue.is_some() || self.is_factored() {
+            return None;
+        }
+        let in_shadow = self.tables.in_shadow.as_ref().and_then(LightTable::by_normal);
+        let light = self.tables.light.by_normal();
+        ShortTables::new(self.classification.tables(), self.factorization, light, in_shadow)
+    }
+
+    /// How much of the light that casts shadows each voxel lacks, in 255ths.
+    fn lacking(&self) -> Option<Stored<'_, u8>> {
+        self.scene.shadow.map(|shadow| Stored::new(shadow.lacking(), self.factorization))
     }
 
     /// True where opacity depends on the gradient.
@@ -102,11 +110,8 @@ impl Pass<'_> {
             LightTable::ByNormal(table) => Shadowless::ByNormal(ByNormal::new(table)),
             LightTable::ByRay(light) => Shadowless::ByRay(ByRay(light)),
         };
-        let shadow = self.tables.in_shadow.as_ref().zip(self.scene.shadow).map(|(light, shadow)| {
-            let lacking = Stored::new(shadow.lacking(), self.factorization);
-            (shadowless(light), lacking)
-        });
-        AnyLight { light: shadowless(&self.tables.light), shadow }
+        let in_shadow = self.tables.in_shadow.as_ref().map(shadowless);
+        AnyLight { light: shadowless(&self.tables.light), shadow: in_shadow.zip(self.lacking()) }
     }
 
     /// What voxels look like by themselves, where they do.

@@ -148,6 +148,24 @@ impl Shorts for Avx2 {
     }
 
     #[inline(always)]
+    fn darken(lights: [ShortLight; FOUR], in_shadow: [ShortLight; FOUR], lacking: [u8; FOUR]) -> [ShortLight; FOUR] {
+        // SAFETY: whoever takes this way has found AVX2.
+        unsafe {
+            let [a, b, c, d]: [i32; FOUR] = bytemuck::cast(lights);
+            let lights = _mm_setr_epi32(a, b, c, d);
+            let [a, b, c, d]: [i32; FOUR] = bytemuck::cast(in_shadow);
+            let in_shadow = _mm_setr_epi32(a, b, c, d);
+            let lacking = _mm_cvtepu8_epi16(_mm_cvtsi32_si128(i32::from_le_bytes(lacking)));
+            let lacking = _mm_unpacklo_epi16(lacking, lacking);
+            let part = _mm_or_si128(_mm_slli_epi16::<7>(lacking), _mm_srli_epi16::<1>(lacking));
+            let darkened = _mm_add_epi16(lights, _mm_mulhrs_epi16(_mm_sub_epi16(in_shadow, lights), part));
+            let mut out = [[0; 2]; FOUR];
+            _mm_storeu_si128(out.as_mut_ptr().cast(), darkened);
+            out
+        }
+    }
+
+    #[inline(always)]
     fn voxels(codes: [u16; FOUR], lights: [ShortLight; FOUR], scalars: Scalars, out: &mut [Short; FOUR]) {
         const _: () = assert!(POSITION == 2 && FACTOR == 0 && ADDEND == 1);
         // SAFETY: whoever takes this way has found AVX2.

@@ -57,7 +57,10 @@ fn results<W: Shorts>(steps: &Steps) -> Vec<(Vec<Short>, u64)> {
         W::blend_slabs::<true>(table(), samples, &mut lit, *limit, *touched),
         W::blend_slabs::<false>(table(), samples, &mut unlit, *limit, *touched),
     ];
-    let looked_up = [(between, 0), (placed, 0), (voxels, 0), (lit, done[0]), (unlit, done[1])];
+    let [a, b, c, d] = *lights;
+    let darkened = W::darken(*lights, [d, c, b, a], touched.to_le_bytes()[4..].try_into().expect("four bytes"));
+    let darkened = darkened.map(|[factor, addend]| Short([factor, addend, 0, 0]));
+    let looked_up = [(between, 0), (placed, 0), (voxels, 0), (darkened, 0), (lit, done[0]), (unlit, done[1])];
     let looked_up = looked_up.map(|(samples, done)| (samples.to_vec(), done));
     [blend(W::blend::<true>), blend(W::blend::<false>), (packed, 0), (in_place, 0)]
         .into_iter()
@@ -115,6 +118,17 @@ proptest! {
             let expected = (f32::from(component) * factor + f32::from(opacity) * addend).min(opacity.into());
             prop_assert!((f32::from(lit) - expected).abs() <= 5.0, "{:?}: {} {}", entry, lit, expected);
         }
+    }
+
+    /// In floating point, to a unit; nothing where nothing is lacking.
+    #[test]
+    fn light_lacks_a_part_of_what_casts_shadows(light in prop::array::uniform2(0..=UNIT), left: f32, lacking: u8) {
+        let in_shadow = light.map(|number| (f32::from(number) * left.abs().fract()) as i16);
+        for (n, darkened) in darkened(light, in_shadow, lacking).into_iter().enumerate() {
+            let [all, left] = [light, in_shadow].map(|light| f32::from(light[n]));
+            prop_assert!((f32::from(darkened) - (all + (left - all) * f32::from(lacking) / 255.0)).abs() <= 1.5);
+        }
+        prop_assert_eq!(darkened(light, in_shadow, 0), light);
     }
 
     /// One after the other.
