@@ -174,12 +174,19 @@ pub struct Stored<'a, T> {
     strides: [usize; 3],
     /// The last voxel of a scanline.
     last: usize,
+    /// Slices are walked from the last to the first.
+    reversed: bool,
 }
 
 impl<'a, T: Copy + Default> Stored<'a, T> {
     /// `codes` are in the volume's order, x fastest.
     pub fn new(codes: &'a [T], factorization: &Factorization) -> Self {
-        Self { codes, strides: factorization.strides(factorization.dims), last: factorization.dims[0] - 1 }
+        Self {
+            codes,
+            strides: factorization.strides(factorization.dims),
+            last: factorization.dims[0] - 1,
+            reversed: factorization.reversed,
+        }
     }
 
     /// That of voxel (i, j, k), past the scanline's end that of its last voxel.
@@ -188,14 +195,17 @@ impl<'a, T: Copy + Default> Stored<'a, T> {
         self.codes[i.min(self.last) * self.strides[0] + j * self.strides[1] + k * self.strides[2]]
     }
 
-    /// Those of four voxels from (i, j, k) on.
+    /// Those of four voxels from (i, j, k) on. Asks for the same ones of the slice that is walked next.
     #[inline(always)]
     pub fn four(&self, [i, j, k]: [usize; 3]) -> [T; 4] {
-        let row = &self.codes[j * self.strides[1] + k * self.strides[2]..];
-        if self.strides[0] == 1
-            && let Some(four) = row[..=self.last].get(i..).and_then(<[T]>::first_chunk)
-        {
-            return *four;
+        let from = j * self.strides[1] + k * self.strides[2];
+        let row = &self.codes[from..];
+        if self.strides[0] == 1 {
+            let next = if self.reversed { from.wrapping_sub(self.strides[2]) } else { from + self.strides[2] };
+            prefetch_at(self.codes, next.wrapping_add(i));
+            if let Some(four) = row[..=self.last].get(i..).and_then(<[T]>::first_chunk) {
+                return *four;
+            }
         }
         let mut four = [T::default(); 4];
         for (n, code) in four.iter_mut().enumerate() {
