@@ -8,7 +8,8 @@
 //! parallel projection, its offset linear in `t`), so nothing is warped. Wu, Bhatia, Lauer and Seiler
 //! call it the shear-image order. Between two slices of voxels lie slices interpolated between
 //! them (Sweeney and Mueller 2002), and slabs between all of these are pre-integrated (Schulze et
-//! al. 2003).
+//! al. 2003), or, between voxels with colours of their own or labels, the means of two samples
+//! (Kraus and Bürger 2008; [`painted`]).
 //!
 //! Eight neighbouring pixels of a row make a [`packet::Packet`]. It walks the slices front to back
 //! and keeps its pixels, its scalars of the last slice (the buffer slice) and its open lanes in
