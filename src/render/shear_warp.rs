@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use glam::Vec4;
 
 use super::composite::cue::Cue;
+use super::composite::sources::Stored;
 use super::composite::{Composite, naive};
 use super::depth::InverseWarp;
 use super::factorization::Factorization;
@@ -197,6 +198,11 @@ impl<'a> Pass<'a> {
     ) -> Self {
         let classification = scene.classification.expect("the algorithm needs a classification");
         Self { scene, classification, factorization, tables, cue, settings, cancel }
+    }
+
+    /// How much of the light that casts shadows each voxel lacks, in 255ths.
+    fn lacking(&self) -> Option<Stored<'_, u8>> {
+        self.scene.shadow.map(|shadow| Stored::new(shadow.lacking(), self.factorization))
     }
 
     /// The image over a premultiplied pixel.

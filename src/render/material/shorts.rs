@@ -97,6 +97,14 @@ impl ShortLights {
         (brightest <= Self::BRIGHTEST).then_some(lights)
     }
 
+    /// The same, or none where there is no table.
+    pub fn if_any(shading: Option<&ShadingTable>) -> Option<Option<Self>> {
+        match shading {
+            None => Some(None),
+            shading => Self::new(shading).map(Some),
+        }
+    }
+
     /// By any 16 bits.
     #[inline(always)]
     pub fn by_any_code(&self) -> &[ShortLight; ANY_CODE] {
@@ -193,11 +201,8 @@ impl ShortTables {
         shading: Option<&ShadingTable>,
         in_shadow: Option<&ShadingTable>,
     ) -> Option<Self> {
-        let in_shadow = match in_shadow {
-            None => None,
-            in_shadow => Some(ShortLights::new(in_shadow)?),
-        };
-        let mut short = Self { entries: vec![], lights: ShortLights::new(shading)?, in_shadow };
+        let (lights, in_shadow) = (ShortLights::new(shading)?, ShortLights::if_any(in_shadow)?);
+        let mut short = Self { entries: vec![], lights, in_shadow };
         let shares = shares(factorization);
         for &share in &shares {
             let mut entries = for_any_code(&SPARE_ENTRIES);

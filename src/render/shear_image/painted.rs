@@ -13,7 +13,7 @@ use super::patch::{Patch, Places, Slice};
 use super::sampler::Sampler;
 use crate::classify::CodeTables;
 use crate::classify::labels::LabelTables;
-use crate::classify::transfer::MAX_OPACITY;
+use crate::classify::transfer::extinction;
 use crate::render::{Sampling, Scene};
 use crate::simd::wide::{LANES, Lanes, Wide};
 use crate::volume::Scalars;
@@ -25,7 +25,7 @@ pub(super) struct Looks<'a, T> {
     dims: [usize; 3],
     paint: Paint<'a>,
     /// Of opacity-based sampling: the length that opacities are for, mm.
-    opacity_length: Option<f32>,
+    opacity_length: Option<f64>,
 }
 
 /// Where they come from.
@@ -52,8 +52,8 @@ impl<'a, T: Code> Looks<'a, T> {
         match sampling {
             Sampling::Extinction => looks(Paint::Colors(colors, tables.extinction.clone()), None),
             Sampling::Opacity => {
-                let length = scene.transfer.reference_length(volume.smallest_spacing()) as f32;
-                let opacities = tables.extinction.iter().map(|tau| -(-tau * length).exp_m1()).collect();
+                let length = scene.transfer.reference_length(volume.smallest_spacing());
+                let opacities = tables.extinction.iter().map(|tau| -(-tau * length as f32).exp_m1()).collect();
                 looks(Paint::Colors(colors, opacities), Some(length))
             }
         }
@@ -129,7 +129,7 @@ impl<T: Code> Painted<'_, T> {
     fn extinct(&self, sample: Vec4) -> Vec4 {
         match self.looks.opacity_length {
             Some(length) if sample.w > 0.0 => {
-                let tau = -(-sample.w.min(MAX_OPACITY as f32)).ln_1p() / length;
+                let tau = extinction(sample.w.into(), length) as f32;
                 (sample * (tau / sample.w)).with_w(tau)
             }
             _ => sample,

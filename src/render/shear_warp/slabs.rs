@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::{Begun, LightTable, Pass};
+use super::{Begun, LightTable, Pass, Tables};
 use crate::classify::preintegration::{Bilinear, Form, Nearest, OneDimensional, ShortSlabTable, SlabTables, Slabs};
 use crate::render::composite::float_slabs::FloatSlabs;
 use crate::render::composite::lattice::{self, Lattice, Unit};
@@ -12,7 +12,6 @@ use crate::render::composite::occupied::Occupied;
 use crate::render::composite::samples::{Quads, VoxelLight, VoxelRows};
 use crate::render::composite::short_slabs::ShortSlabs;
 use crate::render::composite::slabs::{Slab, SlabComposite};
-use crate::render::composite::sources::Stored;
 use crate::render::intermediate::IntermediateImage;
 use crate::render::material::{NoShadow, Shadowed, ShortLights, ShortShadow};
 use crate::render::slab::{AsItIs, Correction, LookedUp, OpacityCorrectionTable, RayByRay, Scaled};
@@ -79,12 +78,10 @@ impl Pass<'_> {
         if !(as_it_is && plain) {
             return None;
         }
-        let lights = |table: Option<&LightTable>| match table {
-            None | Some(LightTable::Off) => Some(None),
-            Some(LightTable::ByNormal(shading)) => ShortLights::new(Some(shading)).map(Some),
-            Some(LightTable::ByRay(_)) => None,
-        };
-        let lights = [lights(Some(&self.tables.light))?, lights(self.tables.in_shadow.as_ref())?];
+        let Tables { light, in_shadow } = self.tables;
+        let lights = [light.by_normal(), in_shadow.as_ref().and_then(LightTable::by_normal)];
+        let [light, in_shadow] = lights.map(ShortLights::if_any);
+        let lights = [light?, in_shadow?];
         Some((tables.short_table(slab_length, self.factorization.layers())?, lights))
     }
 
@@ -94,12 +91,11 @@ impl Pass<'_> {
         [lights, in_shadow]: &[Option<ShortLights>; 2],
         image: &mut IntermediateImage,
     ) -> Result<Begun, RenderError> {
-        let shadow = in_shadow.as_ref().zip(self.scene.shadow).map(|(in_shadow, shadow)| Shadowed {
-            in_shadow: in_shadow.by_any_code(),
-            lacking: Stored::new(shadow.lacking(), self.factorization),
-        });
-        match shadow {
-            Some(shadow) => self.with_shadow(table, lights.as_ref(), shadow, image),
+        match in_shadow.as_ref().zip(self.lacking()) {
+            Some((in_shadow, lacking)) => {
+                let shadow = Shadowed { in_shadow: in_shadow.by_any_code(), lacking };
+                self.with_shadow(table, lights.as_ref(), shadow, image)
+            }
             None => self.with_shadow(table, lights.as_ref(), NoShadow, image),
         }
     }
@@ -192,9 +188,9 @@ impl Pass<'_> {
             self.light(&tables.light),
             scene.transfer,
         );
-        match tables.in_shadow.as_ref().zip(scene.shadow) {
+        match tables.in_shadow.as_ref().zip(self.lacking()) {
             None => rows,
-            Some((light, shadow)) => rows.shadowed(self.light(light), Stored::new(shadow.lacking(), factorization)),
+            Some((light, lacking)) => rows.shadowed(self.light(light), lacking),
         }
     }
 

@@ -80,11 +80,6 @@ impl Pass<'_> {
         ShortTables::new(self.classification.tables(), self.factorization, light, in_shadow)
     }
 
-    /// How much of the light that casts shadows each voxel lacks, in 255ths.
-    fn lacking(&self) -> Option<Stored<'_, u8>> {
-        self.scene.shadow.map(|shadow| Stored::new(shadow.lacking(), self.factorization))
-    }
-
     /// True where opacity depends on the gradient.
     fn is_factored(&self) -> bool {
         !self.scene.transfer.gradient_opacity.is_empty()
