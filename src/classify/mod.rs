@@ -19,6 +19,7 @@ pub mod transfer;
 pub mod visible;
 
 use std::io::{self, Read, Write};
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -50,6 +51,7 @@ pub struct Classification {
     tables: CodeTables,
     slabs: Option<SlabTables>,
     occupied: Vec<bool>,
+    bounds: [Range<usize>; 3],
     visible: Option<Arc<Visible>>,
     summed_area_table: Duration,
 }
@@ -75,8 +77,9 @@ impl Classification {
                 octree.occupied_leaves(|range| summed_area.is_transparent(range))
             }
         };
+        let bounds = bounds(&occupied, octree.leaf_dims(), prepared.volume().dims());
         let visible = slabs.is_none().then(|| Arc::new(Visible::new(prepared, &tables, &occupied)));
-        Self { purpose, tables, slabs, occupied, visible, summed_area_table: start.elapsed() }
+        Self { purpose, tables, slabs, occupied, bounds, visible, summed_area_table: start.elapsed() }
     }
 
     /// A flag for each leaf of the volume's octree: false only where none of its voxels shows by `tables`.
@@ -107,6 +110,11 @@ impl Classification {
         &self.occupied
     }
 
+    /// The voxels along x, y, z that all that shows lies between, ends included; none where nothing does.
+    pub fn bounds(&self) -> &[Range<usize>; 3] {
+        &self.bounds
+    }
+
     /// Which voxels are visible; `None` where slabs are classified.
     pub fn visible(&self) -> Option<&Visible> {
         self.visible.as_deref()
@@ -122,6 +130,23 @@ impl Classification {
         let visible = self.visible().map_or(0, Visible::bytes);
         self.tables.bytes() + self.slabs.as_ref().map_or(0, SlabTables::bytes) + self.occupied.len() as u64 + visible
     }
+}
+
+/// The voxels along each axis of a volume of `dims` that occupied leaves lie among, so many of them along each axis.
+fn bounds(occupied: &[bool], [nx, ny, nz]: [usize; 3], dims: [usize; 3]) -> [Range<usize>; 3] {
+    let (mut low, mut high) = ([nx, ny, nz], [0; 3]);
+    for (row, leaves) in occupied.chunks_exact(nx).enumerate() {
+        let Some(first) = leaves.iter().position(|occupied| *occupied) else { continue };
+        let last = leaves.iter().rposition(|occupied| *occupied).unwrap_or(first);
+        for (axis, [first, last]) in [[first, last], [row % ny; 2], [row / ny; 2]].into_iter().enumerate() {
+            (low[axis], high[axis]) = (low[axis].min(first), high[axis].max(last + 1));
+        }
+    }
+    // Neighbours share a face of voxels.
+    [0, 1, 2].map(|axis| {
+        let (first, last) = (low[axis] * LEAF, (high[axis] * LEAF).min(dims[axis] - 1));
+        if low[axis] < high[axis] { first..last + 1 } else { 0..0 }
+    })
 }
 
 /// The runs of a classified volume, for all three principal axes.
@@ -226,8 +251,10 @@ impl Encodings {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
-    use crate::volume::phantom;
+    use crate::volume::{ImportReport, Placement, ScalarType, Scalars, Volume, phantom};
 
     /// Opacity over a ramp between two values, scaled by the gradient or not.
     fn ramp(from: f64, to: f64, gradients: &[(f64, f64)]) -> TransferFunction {
@@ -236,6 +263,34 @@ mod tests {
             points: vec![point(from, 0.0), point(to, 0.5)],
             opacity_distance: Some(1.0),
             gradient_opacity: gradients.iter().map(|&(value, opacity)| GradientPoint { value, opacity }).collect(),
+        }
+    }
+
+    #[test]
+    fn all_that_shows_lies_within_the_bounds() {
+        let mut codes = vec![0u8; 20 * 30 * 17];
+        let at = |x: usize, y: usize, z: usize| (z * 30 + y) * 20 + x;
+        let volume = |codes: &[u8]| {
+            let placement = Placement::from_spacing(DVec3::ONE);
+            let scalars = Scalars::U8(codes.to_vec());
+            let report = ImportReport::plain("test", ScalarType::U8);
+            PreparedVolume::build(Volume::new([20, 30, 17], placement, scalars, (1.0, 0.0), report).unwrap())
+        };
+        let bounds = |codes: &[u8], purpose| {
+            Classification::build(&volume(codes), &ramp(9.0, 99.0, &[]), purpose).bounds().clone()
+        };
+        for purpose in [Purpose::Voxels { min_opacity: 0.0 }, Purpose::Slabs { entries: 64 }] {
+            assert_eq!(bounds(&codes, purpose), [0..0, 0..0, 0..0]);
+        }
+        codes[at(9, 20, 16)] = 50;
+        codes[at(17, 23, 10)] = 50;
+        for purpose in [Purpose::Voxels { min_opacity: 0.0 }, Purpose::Slabs { entries: 64 }] {
+            assert_eq!(bounds(&codes, purpose), [8..20, 16..25, 8..17]);
+        }
+        codes[at(0, 8, 0)] = 50;
+        for purpose in [Purpose::Voxels { min_opacity: 0.0 }, Purpose::Slabs { entries: 64 }] {
+            // The voxel is of two leaves.
+            assert_eq!(bounds(&codes, purpose), [0..20, 0..25, 0..17]);
         }
     }
 

@@ -55,6 +55,9 @@ const OFFSET_STEP: f64 = 1.0 / 16384.0;
 const PARTS: usize = 8;
 const TOGETHER: usize = 16;
 
+/// What shows lies so many pixels within those that are told to lie over it: as far as is looked for where the ends of rays are torn.
+const AROUND: f64 = 4.0;
+
 /// Pixels of an intermediate image at most (1 GiB).
 const MAX_PIXELS: usize = 1 << 26;
 
@@ -411,6 +414,28 @@ impl Factorization {
             }
         }
         met
+    }
+
+    /// Pixels along u and v that some voxels along the volume's axes x, y, z lie under, and a few around; none for no voxels.
+    pub fn pixels_over(&self, voxels: &[Range<usize>; 3]) -> [Range<usize>; 2] {
+        if voxels.iter().any(Range::is_empty) {
+            return [0..0, 0..0];
+        }
+        if self.slices != (0..self.dims[2]) {
+            // An eye among the slices has a slab of its own.
+            return self.size.map(|size| 0..size);
+        }
+        let [i, j, k] =
+            PERMUTATIONS[self.principal_axis].map(|axis| voxels[axis].start as f64..=voxels[axis].end as f64 - 1.0);
+        // Along a ray of the volume's, pixels go one way from slice to slice.
+        let ends = [*k.start(), *k.end()].map(|k| self.lattice(k));
+        [(i, 0), (j, 1)].map(|(voxels, axis)| {
+            let pixels = |voxel: f64| ends.map(|Lattice { offset, scale }| (voxel - offset[axis]) / scale);
+            // What is outermost in the volume is seen a voxel beside it.
+            let [[a, b], [c, d]] = [voxels.start() - 1.0, voxels.end() + 1.0].map(pixels);
+            let (low, high) = (a.min(b) - AROUND, c.max(d) + AROUND + 1.0);
+            low.floor().max(0.0) as usize..(high.ceil().max(0.0) as usize).min(self.size[axis])
+        })
     }
 
     /// What may clip pixels of some scanlines between two slices; `None` where nothing of any is left.

@@ -189,13 +189,13 @@ struct Scanline {
 }
 
 impl Layers {
-    /// Rays end where `depth` says.
+    /// Rays end where `depth` says; of pixels beside some along u and v nothing shows.
     ///
     /// # Errors
     /// [`RenderError::Cancelled`].
     pub fn new(
         volume: &Volume,
-        factorization: &Factorization,
+        (factorization, [us, vs]): (&Factorization, &[Range<usize>; 2]),
         depth: Option<&InverseWarp<'_>>,
         shapes: &[Shape],
         cancel: &Cancel,
@@ -210,6 +210,7 @@ impl Layers {
                 return Err(RenderError::Cancelled);
             }
             let told = hull(&met[v], &depth.map_or(0..0, |depth| depth.may_end(v)));
+            let told = if vs.contains(&v) { told.start.max(us.start)..told.end.min(us.end) } else { 0..0 };
             let mut found = Scanline { pieces: Vec::with_capacity(told.len()), holes: vec![], told };
             // Slices behind the front one: an eye among the slices may have passed that.
             let [[first, first_step], [second, second_step]] = [1.0, 2.0].map(|position| {
@@ -258,7 +259,7 @@ impl Layers {
 
     /// What is seen of a layer behind an image: nothing where that is as opaque as `termination`.
     pub fn limits(&self, which: Which, image: &IntermediateImage, termination: f32) -> Limits {
-        Limits::new(self.scanlines.len(), |v| {
+        Limits::new(self.scanlines.len(), 0..self.scanlines.len(), SeenScanline::default(), |v| {
             let Scanline { told, pieces, holes } = &self.scanlines[v];
             let seen =
                 pieces.iter().filter(|piece| piece.1 == which && image.opacity(piece.0 as usize, v) < termination);

@@ -30,7 +30,7 @@ struct Between {
 pub struct ClippedPixels {
     /// The first scanline of the band.
     first: usize,
-    /// By scanline how far from the front it is known which rays have ended.
+    /// By scanline how far from the front it is known of all words which rays have ended.
     ended: Vec<Option<f32>>,
     /// The slab that was entered, and the one behind it, where that was; which of them is in front.
     slabs: [Between; 2],
@@ -41,7 +41,7 @@ pub struct ClippedPixels {
     by_limits: bool,
     /// True where rays of the scanline have ended since that was known.
     have_ended: bool,
-    /// Those that are open and of which something is left.
+    /// Of the words that were asked for: those that are open and of which something is left.
     open: Vec<u64>,
     /// Those of them of which not all is left, and whether there are any.
     cut: Vec<u64>,
@@ -155,27 +155,21 @@ impl ClippedPixels {
     }
 
     /// Clips the pixels of scanline `v`, the one entered, that are set in `open`; false where all of them are left. Nothing is behind those whose
-    /// rays have ended: they are not set any more. Nothing is told of words beside those asked for.
+    /// rays have ended: they are not set any more. What it tells of words beside those asked for means nothing.
     #[inline(always)]
     pub fn find<W: Masks>(&mut self, factorization: &Factorization, v: usize, open: &mut [u64]) -> bool {
         let limits = factorization.limits().filter(|_| self.by_limits || self.have_ended);
         let positions = self.slabs[self.front].positions;
-        if limits.is_some() {
-            self.ended[v - self.first] = Some(positions[0]);
+        if self.open.len() != open.len() {
+            self.open.resize(open.len(), 0);
+            self.cut.resize(open.len(), 0);
         }
-        self.open.clear();
-        self.open.extend_from_slice(open);
-        self.cut.clear();
-        self.cut.resize(open.len(), 0);
-        let told = match limits {
-            // Which rays have ended is told once for all; others are as they are.
-            Some(limits) if self.by_shapes => {
-                let told = limits.told_apart(v);
-                hull(&told, &self.asked)
-            }
-            Some(limits) => limits.told_apart(v),
-            None => self.asked.clone(),
-        };
+        let mut told = self.asked.clone();
+        if let Some(limits) = limits.filter(|_| !self.by_limits) {
+            // The last rays have ended: that is told once for all.
+            self.ended[v - self.first] = Some(positions[0]);
+            told = hull(&told, &limits.told_apart(v));
+        }
         let (mut taken, mut any_cut) = (0, 0);
         for word in told.start..told.end.min(open.len()) {
             let was = open[word];

@@ -1,6 +1,7 @@
 //! The inverse warp of a depth buffer (Bruckner et al. 2003), read backwards.
 
-use std::array::from_fn;
+use std::array;
+use std::iter::from_fn;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -11,6 +12,7 @@ use crate::render::factorization::Factorization;
 use crate::render::ranges::hull;
 use crate::render::view::{Rays, View};
 use crate::render::warp::inside;
+use crate::simd::masks::{Masks, WORD};
 #[cfg(target_arch = "x86_64")]
 use crate::simd::wide::Avx2;
 use crate::simd::wide::{LANES, Lanes, Portable, Wide, least, most};
@@ -28,12 +30,20 @@ pub struct InverseWarp<'a> {
     image_from_sheared: DMat3,
     along: AlongRays,
     size: DVec2,
+    /// Pixels along u and v beside which nothing shows.
+    shown: [Range<usize>; 2],
     limits: Arc<Limits>,
 }
 
 impl<'a> InverseWarp<'a> {
-    /// `None` where the view has no depth buffer.
-    pub fn of(view: &'a View, volume: &Volume, factorization: &'a Factorization) -> Option<Self> {
+    /// `None` where the view has no depth buffer. Of rays that pass none of the voxels `shown`, along the volume's axes, nothing is told: they
+    /// do not end.
+    pub fn of(
+        view: &'a View,
+        volume: &Volume,
+        factorization: &'a Factorization,
+        shown: &[Range<usize>; 3],
+    ) -> Option<Self> {
         let depth = view.depth()?;
         let mut inverse = Self {
             depth,
@@ -41,9 +51,12 @@ impl<'a> InverseWarp<'a> {
             image_from_sheared: factorization.sheared_from_image.inverse(),
             along: AlongRays::new(view, volume, factorization),
             size: DVec2::new(depth.width as f64, depth.height as f64),
+            shown: factorization.pixels_over(shown),
             limits: Arc::default(),
         };
-        inverse.limits = Arc::new(Limits::new(factorization.size[1], |v| {
+        let [_, told] = &inverse.shown;
+        let others = SeenScanline::ending(inverse.beyond(), 0..0, |_| {});
+        inverse.limits = Arc::new(Limits::new(factorization.size[1], told.clone(), others, |v| {
             let met = inverse.met_by(v);
             SeenScanline::ending(inverse.beyond(), met.clone(), |to| {
                 simd::dispatch(Ends { inverse: &inverse, v, first: met.start, to });
@@ -52,9 +65,10 @@ impl<'a> InverseWarp<'a> {
         Some(inverse)
     }
 
-    /// The pixels of scanline `v` that may meet something.
+    /// The pixels of scanline `v`, one of those that show something, that may meet something, and show something.
     fn met_by(&self, v: usize) -> Range<usize> {
         let window = &self.depth.window;
+        let [us, _] = &self.shown;
         if window.iter().any(Range::is_empty) {
             return 0..0;
         }
@@ -66,7 +80,8 @@ impl<'a> InverseWarp<'a> {
             high[axis] = if (end as f64) < self.size[axis] { end as f64 } else { BEYOND };
         }
         let start = self.image_from_sheared * DVec3::new(0.0, v as f64, 1.0);
-        inside([low, high], start, self.image_from_sheared.x_axis, self.factorization.size[0])
+        let met = inside([low, high], start, self.image_from_sheared.x_axis, self.factorization.size[0]);
+        met.start.max(us.start)..met.end.min(us.end)
     }
 
     /// Where rays end that go on behind the volume.
@@ -77,6 +92,11 @@ impl<'a> InverseWarp<'a> {
     /// Where the ray of pixel (u, v) ends, in slices from the front one on: a slice before or behind the volume at most.
     pub fn end(&self, u: usize, v: usize) -> f32 {
         self.limits.at(u, v).to
+    }
+
+    /// The scanlines with rays that may end.
+    pub fn may_hold_ends(&self) -> Range<usize> {
+        self.limits.told()
     }
 
     /// The pixels of scanline `v` with rays that may end.
@@ -115,7 +135,7 @@ impl<'a> InverseWarp<'a> {
         let first = *m * DVec3::new(u as f64, v as f64, 1.0);
         let of_lanes = |axis: usize| -> Lanes {
             let (first, step) = (first[axis] as f32, m.x_axis[axis] as f32);
-            from_fn(|lane| first + step * lane as f32)
+            array::from_fn(|lane| first + step * lane as f32)
         };
         let (mut x, mut y, mut z) = (of_lanes(0), of_lanes(1), [1.0; LANES]);
         if !self.factorization.is_parallel() {
@@ -155,11 +175,17 @@ impl<'a> InverseWarp<'a> {
         let [_, upper, lower, _] = rows;
         let met = hull(&upper.told(), &lower.told());
         let cells = us.start.max(met.start.saturating_sub(1))..us.end.min(met.end).min(width - 1);
-        let cells = cells.start..cells.end.max(cells.start);
-        let apart =
-            simd::dispatch(Apart { rows: [upper, lower].map(|row| row.ends(cells.start..cells.end + 1)), least });
-        let apart = cells.zip(apart).filter(|(_, apart)| *apart).map(|(u, _)| u);
-        apart.filter(move |u| {
+        let last = cells.end;
+        let words = cells.step_by(WORD).flat_map(move |first| {
+            let mut apart = simd::dispatch(Apart { rows: [upper, lower], first, least });
+            let of_word = from_fn(move || {
+                let n = apart.trailing_zeros() as usize;
+                apart &= apart.wrapping_sub(1);
+                (n < WORD).then_some(first + n)
+            });
+            of_word.take_while(move |u| *u < last)
+        });
+        words.filter(move |u| {
             let get = |du: usize, row: usize| rows[row].at((u + du).saturating_sub(1).min(width - 1)).to;
             let row = |n: usize| goes_on(get(0, n), get(1, n), get(2, n), get(3, n));
             let column = |n: usize| goes_on(get(n, 0), get(n, 1), get(n, 2), get(n, 3));
@@ -195,33 +221,52 @@ impl Ends<'_, '_> {
     #[inline(always)]
     fn fill<W: Wide>(self) {
         let Self { inverse, v, first, to } = self;
-        for (n, to) in to.chunks_mut(LANES).enumerate() {
-            to.copy_from_slice(&inverse.ends::<W>(first + n * LANES, v)[..to.len()]);
+        let (eights, rest) = to.as_chunks_mut();
+        let last = first + eights.len() * LANES;
+        for (n, to) in eights.iter_mut().enumerate() {
+            *to = inverse.ends::<W>(first + n * LANES, v);
+        }
+        if !rest.is_empty() {
+            rest.copy_from_slice(&inverse.ends::<W>(last, v)[..rest.len()]);
         }
     }
 }
 
-/// The job: for every pixel of two scanlines but the last ones, whether ends of that, the next and of the two below are more than `least` apart.
-struct Apart {
-    rows: [Vec<f32>; 2],
+/// The job: of which of 64 pixels of an upper scanline, from one on, ends of that, the next and of the two below are more than `least` apart.
+struct Apart<'a> {
+    rows: [&'a SeenScanline; 2],
+    first: usize,
     least: f32,
 }
 
-impl Kernel for Apart {
-    type Output = Vec<bool>;
+impl Kernel for Apart<'_> {
+    type Output = u64;
 
     #[inline(always)]
-    fn run(self) -> Vec<bool> {
-        let [upper, lower] = &self.rows;
-        let mut apart = vec![false; upper.len().min(lower.len()).saturating_sub(1)];
-        let length = apart.len();
-        let [next, beside] = [upper, lower].map(|row| row.get(1..).unwrap_or_default());
-        let (a, b, c, d) = (&upper[..length], &next[..length], &lower[..length], &beside[..length]);
-        for n in 0..length {
-            let (low, high) = (least(least(a[n], b[n]), least(c[n], d[n])), most(most(a[n], b[n]), most(c[n], d[n])));
-            apart[n] = high - low > self.least;
+    fn run(self) -> u64 {
+        self.find::<Portable>()
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    fn run_avx2(self) -> u64 {
+        self.find::<Avx2>()
+    }
+}
+
+impl Apart<'_> {
+    #[inline(always)]
+    fn find<W: Masks>(self) -> u64 {
+        let (mut upper, mut lower, mut spans) = ([0.0; WORD + 1], [0.0; WORD + 1], [0.0; WORD]);
+        let [above, below] = self.rows;
+        above.ends(self.first, &mut upper);
+        below.ends(self.first, &mut lower);
+        for n in 0..WORD {
+            let (a, b, c, d) = (upper[n], upper[n + 1], lower[n], lower[n + 1]);
+            spans[n] = most(most(a, b), most(c, d)) - least(least(a, b), least(c, d));
         }
-        apart
+        let [together, _] = W::numbers(&spans, self.least, self.least);
+        !together
     }
 }
 
@@ -319,7 +364,8 @@ mod tests {
                 }
                 let view = view.clone().ending_at(Arc::new(SceneDepth::new(&view, distances)));
                 for factorization in Factorization::parts(&view, &volume).unwrap() {
-                    let warp = InverseWarp::of(&view, &volume, &factorization).unwrap();
+                    let all = volume.dims().map(|n| 0..n);
+                    let warp = InverseWarp::of(&view, &volume, &factorization, &all).unwrap();
                     let [width, height] = factorization.size;
                     let mut met = 0;
                     for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {

@@ -18,13 +18,16 @@ const GROUP: usize = 16;
 /// What is seen of the rays of an intermediate image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Limits {
+    /// Scanlines that are told apart, from the first of them on; of all others the same is seen.
     scanlines: Vec<SeenScanline>,
+    first: usize,
+    others: SeenScanline,
     /// Of every so many scanlines: what is seen of any pixel is within the first, and of every pixel all of the second.
     groups: Vec<[Stretch; 2]>,
 }
 
 /// What is seen of the rays of a scanline.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SeenScanline {
     /// The same for all pixels but for those of the words from one on.
     elsewhere: Stretch,
@@ -47,7 +50,7 @@ pub struct SeenScanline {
 }
 
 /// From where to where.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stretch {
     pub from: f32,
     pub to: f32,
@@ -158,16 +161,16 @@ impl SeenScanline {
         Stretch { from: *self.from.get(at).unwrap_or(&from), to: *self.to.get(at).unwrap_or(&to) }
     }
 
-    /// Where what is seen of some pixels ends.
-    pub(super) fn ends(&self, us: Range<usize>) -> Vec<f32> {
-        let mut ends = vec![self.elsewhere.to; us.len()];
-        let told = self.told();
+    /// Finds where what is seen of pixels from `u` on ends.
+    #[inline(always)]
+    pub(super) fn ends(&self, u: usize, ends: &mut [f32]) {
+        ends.fill(self.elsewhere.to);
+        let (us, told) = (u..u + ends.len(), self.told());
         let both = us.start.max(told.start)..us.end.min(told.end);
         if !both.is_empty() {
             let own = &self.to[both.start - told.start..both.end - told.start];
             ends[both.start - us.start..both.end - us.start].copy_from_slice(own);
         }
-        ends
     }
 
     /// Pixels that have stretches of their own are among these.
@@ -200,49 +203,64 @@ impl Stretch {
 }
 
 impl Limits {
-    /// What scanlines see, so many of them.
-    pub fn new(height: usize, scanline: impl Fn(usize) -> SeenScanline + Sync + Send) -> Self {
+    /// What scanlines `told` of an image of `height` see; all others are alike.
+    pub fn new(
+        height: usize,
+        told: Range<usize>,
+        others: SeenScanline,
+        scanline: impl Fn(usize) -> SeenScanline + Sync + Send,
+    ) -> Self {
+        let first = told.start;
         // In small parts: much may meet few of them.
-        let all = (0..height).into_par_iter().with_min_len(GROUP / 2).with_max_len(GROUP);
-        let scanlines: Vec<_> = all.map(scanline).collect();
-        let group = |scanlines: &[SeenScanline]| {
-            let both = scanlines.iter().map(|scanline| [scanline.some, scanline.whole]);
-            both.reduce(|[some, whole], [other, another]| {
+        let all = told.into_par_iter().with_min_len(GROUP / 2).with_max_len(GROUP);
+        let mut limits = Self { scanlines: all.map(scanline).collect(), first, others, groups: vec![] };
+        let group = |first: usize| {
+            let both = |v| {
+                let SeenScanline { some, whole, .. } = limits.scanline(v);
+                [*some, *whole]
+            };
+            (first..(first + GROUP).min(height)).map(both).reduce(|[some, whole], [other, another]| {
                 let some = Stretch { from: some.from.min(other.from), to: some.to.max(other.to) };
                 [some, Stretch { from: whole.from.max(another.from), to: whole.to.min(another.to) }]
             })
         };
-        let groups = scanlines.chunks(GROUP).filter_map(group).collect();
-        Self { scanlines, groups }
+        limits.groups = (0..height).step_by(GROUP).filter_map(group).collect();
+        limits
     }
 
     /// True where nothing is seen at all.
     pub fn is_empty(&self) -> bool {
-        self.scanlines.iter().all(|scanline| scanline.some == Stretch::NOTHING)
+        self.groups.iter().all(|[some, _]| *some == Stretch::NOTHING)
+    }
+
+    /// The scanlines that are told apart.
+    pub(super) fn told(&self) -> Range<usize> {
+        self.first..self.first + self.scanlines.len()
     }
 
     /// The words of scanline `v` of which pixels may be told apart ([`Self::seen`]); all there may be, where of others nothing is seen.
     #[inline(always)]
     pub fn told_apart(&self, v: usize) -> Range<usize> {
-        let SeenScanline { elsewhere, first_word, words, .. } = &self.scanlines[v];
+        let SeenScanline { elsewhere, first_word, words, .. } = self.scanline(v);
         if elsewhere.is_nothing() { 0..usize::MAX } else { *first_word..first_word + words.len() }
     }
 
     /// Of scanline `v`.
+    #[inline(always)]
     pub(super) fn scanline(&self, v: usize) -> &SeenScanline {
-        &self.scanlines[v]
+        self.scanlines.get(v.wrapping_sub(self.first)).unwrap_or(&self.others)
     }
 
     /// What is seen of the ray of pixel (u, v), but for holes.
     #[inline(always)]
     pub fn at(&self, u: usize, v: usize) -> Stretch {
-        self.scanlines[v].at(u)
+        self.scanline(v).at(u)
     }
 
     /// The holes in that, one behind another.
     #[inline(always)]
     pub fn holes(&self, u: usize, v: usize) -> impl Iterator<Item = Stretch> + '_ {
-        let SeenScanline { first_word, words, holes, .. } = &self.scanlines[v];
+        let SeenScanline { first_word, words, holes, .. } = self.scanline(v);
         let word = words.get((u / WORD).wrapping_sub(*first_word));
         let theirs = word.map_or(&[][..], |word| &holes[word.holes.clone()]).iter();
         theirs.filter(move |hole| hole.u as usize == u).map(|hole| hole.stretch)
@@ -252,20 +270,20 @@ impl Limits {
     /// [ended](Seen::ended) by then.
     #[inline(always)]
     pub fn tells_apart(&self, v: usize, [first, last]: [f32; 2]) -> bool {
-        let SeenScanline { holes, begun, ends, .. } = &self.scanlines[v];
+        let SeenScanline { holes, begun, ends, .. } = self.scanline(v);
         *begun > first || !holes.is_empty() || (ends.from < last && ends.to > first)
     }
 
     /// Whether all rays of scanline `v` of which anything is seen are seen from a position on, or from before it.
     #[inline(always)]
     pub fn have_begun(&self, v: usize, position: f32) -> bool {
-        self.scanlines[v].begun <= position
+        self.scanline(v).begun <= position
     }
 
     /// Whether rays of scanline `v` end behind a position, not after a later one; behind no position, also those of which nothing is seen.
     #[inline(always)]
     pub fn end_between(&self, v: usize, behind: Option<f32>, until: f32) -> bool {
-        let SeenScanline { ends, blind, .. } = &self.scanlines[v];
+        let SeenScanline { ends, blind, .. } = self.scanline(v);
         match behind {
             Some(behind) => ends.from <= until && ends.to > behind,
             None => *blind || ends.from <= until,
@@ -292,7 +310,7 @@ impl Limits {
     /// What is seen of the 64 pixels of `word` of scanline `v` between two positions.
     #[inline(always)]
     pub fn seen<W: Masks>(&self, v: usize, word: usize, between: [f32; 2]) -> Seen {
-        let scanline = &self.scanlines[v];
+        let scanline = self.scanline(v);
         let at = word.wrapping_sub(scanline.first_word);
         let every = |is: bool| if is { u64::MAX } else { 0 };
         let Some(Word { bounds: [least, greatest], holes, within }) = scanline.words.get(at) else {
@@ -422,7 +440,7 @@ mod tests {
             scanlines in prop::collection::vec(scanline(), 1..40),
             steps in prop::collection::vec((0.3f32..2.5, any::<bool>()), 1..12),
         ) {
-            let limits = Limits::new(scanlines.len(), |v| {
+            let limits = Limits::new(scanlines.len(), 0..scanlines.len(), SeenScanline::default(), |v| {
                 let (nothing_elsewhere, first, pixels) = &scanlines[v];
                 let elsewhere = Stretch { from: f32::NEG_INFINITY, to: BEYOND };
                 let holes = (*first as u32..).zip(pixels).filter(|(_, (kind, ..))| *kind == 4);

@@ -36,30 +36,31 @@ impl Kernel for Smooth<'_> {
         let Self { distances, width, first, smooth } = self;
         let last = distances.len() / width - 1;
         // With one before it and two behind it; beyond the picture it is as on its border.
-        let row = |y: usize| {
+        let fill = |padded: &mut [f32], y: usize| {
             let row = &distances[y.min(last) * width..][..width];
-            let mut padded = Vec::with_capacity(width + 3);
-            padded.push(row[0]);
-            padded.extend_from_slice(row);
-            padded.extend([row[width - 1]; 2]);
-            padded
+            padded[0] = row[0];
+            padded[1..=width].copy_from_slice(row);
+            padded[width + 1..].fill(row[width - 1]);
         };
         let along = |row: &[f32], on: &mut [bool]| go_on([row, &row[1..], &row[2..], &row[3..]], on);
-        let mut rows = [first.saturating_sub(1), first, first + 1].map(row);
+        // The one before a row, that, and the two below it.
+        let mut rows = [(); 4].map(|()| vec![0.0; width + 3]);
+        for (row, y) in rows.iter_mut().zip([first.saturating_sub(1), first, first + 1]) {
+            fill(row, y);
+        }
         let (mut upper, mut lower) = (vec![false; width], vec![false; width]);
         let mut across = vec![false; width + 1];
         along(&rows[1], &mut lower);
         for (n, smooth) in smooth.chunks_exact_mut(width).enumerate() {
-            let after = row(first + n + 2);
+            fill(&mut rows[3], first + n + 2);
             std::mem::swap(&mut upper, &mut lower);
             along(&rows[2], &mut lower);
-            go_on([&rows[0][1..], &rows[1][1..], &rows[2][1..], &after[1..]], &mut across);
+            go_on([&rows[0][1..], &rows[1][1..], &rows[2][1..], &rows[3][1..]], &mut across);
             let [across, next] = [&across[..width], &across[1..]];
             for (x, smooth) in smooth.iter_mut().enumerate() {
                 *smooth = upper[x] & lower[x] & across[x] & next[x];
             }
             rows.rotate_left(1);
-            rows[2] = after;
         }
     }
 }

@@ -77,6 +77,14 @@ impl Ahead {
     }
 }
 
+/// Counts by lane what is no window depth.
+#[inline(always)]
+fn count_others(depths: &Lanes, others: &mut [u32; LANES]) {
+    for lane in 0..LANES {
+        others[lane] += u32::from(!((depths[lane] >= 0.0) & (depths[lane] <= 1.0)));
+    }
+}
+
 /// The job: distances of some `columns` of values of window depth, from row `first` of a picture on; gives how many are none.
 pub struct Distances<'a> {
     pub ahead: &'a Ahead,
@@ -97,15 +105,17 @@ impl Kernel for Distances<'_> {
         let mut others = [0; LANES];
         for (y, distances) in (first..).zip(distances.chunks_exact_mut(columns.len())) {
             let values = &values[y * width..][columns.clone()];
-            let xs = columns.clone().step_by(LANES);
-            for (x, (values, distances)) in xs.zip(values.chunks(LANES).zip(distances.chunks_mut(LANES))) {
+            let ((values, rest), (distances, last)) = (values.as_chunks(), distances.as_chunks_mut());
+            for (n, (depths, distances)) in values.iter().zip(distances).enumerate() {
+                count_others(depths, &mut others);
+                *distances = ahead.distances([columns.start + n * LANES, y], depths);
+            }
+            if !rest.is_empty() {
                 let mut depths = [1.0; LANES];
-                depths[..values.len()].copy_from_slice(values);
-                for lane in 0..LANES {
-                    others[lane] += u32::from(!((depths[lane] >= 0.0) & (depths[lane] <= 1.0)));
-                }
-                let eight = ahead.distances([x, y], &depths);
-                distances.copy_from_slice(&eight[..distances.len()]);
+                depths[..rest.len()].copy_from_slice(rest);
+                count_others(&depths, &mut others);
+                let distances = ahead.distances([columns.end - rest.len(), y], &depths);
+                last.copy_from_slice(&distances[..rest.len()]);
             }
         }
         others.into_iter().sum::<u32>() as usize

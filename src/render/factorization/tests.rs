@@ -45,6 +45,34 @@ fn shear_and_warp_together_are_the_parallel_view() {
     }
 }
 
+#[test]
+fn all_rays_that_pass_some_voxels_have_pixels_over_them() {
+    let volume = phantom::uniform([30, 40, 50], 1.0);
+    for (step, projection) in (0..40).flat_map(|step| [(step, Projection::Parallel), (step, Projection::Perspective)]) {
+        let view = View::new(&orbit(step, projection, 40.0), volume.centre(), volume.radius(), 60, 50).unwrap();
+        let first = step as usize % 20;
+        let voxels = [first..first + 7, 12..12 + first + 1, 30 - first..41];
+        for f in Factorization::parts(&view, &volume).unwrap() {
+            assert_eq!(f.pixels_over(&[0..0, 0..0, 0..0]), [0..0, 0..0]);
+            let [us, vs] = f.pixels_over(&voxels);
+            let [i, j, k] = PERMUTATIONS[f.principal_axis].map(|axis| voxels[axis].clone());
+            let [mut met, mut beside] = [0; 2];
+            for (u, v) in (0..f.size[0]).flat_map(|u| (0..f.size[1]).map(move |v| (u, v))) {
+                let meets = k.clone().any(|k| {
+                    let at = f.voxel_from_sheared(u as f64, v as f64, k as f64);
+                    let within =
+                        |at: f64, voxels: &Range<usize>| at >= voxels.start as f64 - 1.0 && at <= voxels.end as f64;
+                    within(at.x, &i) && within(at.y, &j)
+                });
+                let told = us.contains(&u) && vs.contains(&v);
+                assert!(told || !meets, "{projection:?} {step}: pixel ({u}, {v}) is not among {us:?}, {vs:?}");
+                (met, beside) = (met + usize::from(meets), beside + usize::from(!told));
+            }
+            assert!(met > 0 && beside > 0, "{projection:?} {step}: {met} of {:?} meet them, {us:?}, {vs:?}", f.size);
+        }
+    }
+}
+
 /// Where the volume is in the way of a final pixel's ray: first and last slice position.
 fn crossing(view: &View, volume: &Volume, axis: usize, at: DVec2) -> Option<[f64; 2]> {
     let last = permuted(axis, DVec3::from_array(volume.dims().map(|n| (n - 1) as f64)));

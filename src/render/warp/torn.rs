@@ -9,6 +9,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::Part;
+use crate::render::depth::InverseWarp;
 use crate::render::intermediate::Fixed;
 
 /// By so much a place on the picture may be off, pixels.
@@ -17,27 +18,34 @@ const ROUNDING: f64 = 1e-6;
 /// Ends that lie no farther apart, in slices, are the same.
 const SAME: f32 = 1.0;
 
+/// So many scanlines are looked at together, at least.
+const TOGETHER: usize = 8;
+
 /// The pixels of a picture of `size` that lie between rays with other ends than theirs, warped anew.
 pub fn mended(parts: &[Part<'_>], size: [usize; 2]) -> Vec<([usize; 2], Fixed)> {
     let of_part = |part: &Part<'_>| {
-        let rows = 0..part.image.size()[1].saturating_sub(1);
-        rows.into_par_iter().flat_map_iter(|v| part.mended(v, size)).collect::<Vec<_>>()
+        let ends = part.depth.map_or(0..0, InverseWarp::may_hold_ends);
+        let rows = ends.start.saturating_sub(1)..ends.end.min(part.image.size()[1].saturating_sub(1));
+        let of_rows = rows.into_par_iter().with_min_len(TOGETHER).fold(Vec::new, |mut found, v| {
+            part.mend(v, size, &mut found);
+            found
+        });
+        of_rows.collect::<Vec<_>>()
     };
-    parts.iter().filter(|part| part.depth.is_some()).flat_map(of_part).collect()
+    parts.iter().flat_map(of_part).flatten().collect()
 }
 
 impl Part<'_> {
-    /// Those between scanlines `v` and `v + 1`, of a picture of `size` pixels.
-    fn mended(&self, v: usize, size: [usize; 2]) -> Vec<([usize; 2], Fixed)> {
-        let Some(depth) = self.depth else { return vec![] };
+    /// Adds those between scanlines `v` and `v + 1`, of a picture of `size` pixels, to those that were `found`.
+    fn mend(&self, v: usize, size: [usize; 2], found: &mut Vec<([usize; 2], Fixed)>) {
+        let Some(depth) = self.depth else { return };
         // Where nothing was drawn a mixture is what all of them are.
         let drawn = self.image.drawn(v, v + 1);
-        let pixels = depth.torn(v, drawn.start.saturating_sub(1)..drawn.end, SAME).flat_map(|u| {
+        for u in depth.torn(v, drawn.start.saturating_sub(1)..drawn.end, SAME) {
             let [xs, ys] = self.over([u, v], size);
-            ys.flat_map(move |y| xs.clone().map(move |x| [x, y]))
-                .filter_map(move |at| Some((at, self.mended_pixel(at, [u, v])?)))
-        });
-        pixels.collect()
+            let pixels = ys.flat_map(|y| xs.clone().map(move |x| [x, y]));
+            found.extend(pixels.filter_map(|at| Some((at, self.mended_pixel(at, [u, v])?))));
+        }
     }
 
     /// The pixels of a picture of `size` with centres that may lie between pixel (u, v) and pixel (u + 1, v + 1).
