@@ -35,8 +35,8 @@ use crate::simd::{self, Kernel};
 pub use inverse_warp::InverseWarp;
 pub use limits::{Hole, Limits, Seen, SeenScanline, Stretch};
 use surface::{goes_on, smooth};
-pub use window::NoWindowDepths;
-use window::{Ahead, Distances};
+use window::{Ahead, Distances, FAR};
+pub use window::{Met, NoWindowDepths};
 
 /// Rows that are told together.
 const BAND_HEIGHT: usize = 16;
@@ -83,7 +83,7 @@ impl SceneDepth {
     pub fn new(view: &View, distances: Vec<f32>) -> Self {
         assert_eq!(distances.len(), pixels(view), "a distance for each pixel");
         let width = view.size().0 as usize;
-        let window = window(&distances, width, f32::INFINITY);
+        let window = window(&distances, width, f32::INFINITY, |_| true);
         let within = |row: usize, own: &mut [f32]| own.copy_from_slice(&distances[row * width..][window[0].clone()]);
         Self::of_window(view, window.clone(), |first, own| {
             (first..).zip(own.chunks_exact_mut(window[0].len())).for_each(|(row, own)| within(row, own));
@@ -91,7 +91,7 @@ impl SceneDepth {
     }
 
     /// From a depth buffer in WebGL's window space (0 on the near plane, 1 on the far one, where nothing is), for the `view` that
-    /// these matrices make.
+    /// these matrices make; `met` has looked at the values.
     ///
     /// # Errors
     /// Where values are not from 0 to 1.
@@ -99,7 +99,7 @@ impl SceneDepth {
     /// # Panics
     /// Where there is not one value for each pixel.
     pub fn from_window(
-        values: &[f32],
+        (values, met): (&[f32], &Met),
         view: &View,
         projection: &DMat4,
         camera: &DMat4,
@@ -108,7 +108,7 @@ impl SceneDepth {
         let _frame = awake::Frame::begin();
         let ahead = Ahead::new(view, projection, camera);
         let width = view.size().0 as usize;
-        let window = window(values, width, 1.0);
+        let window = window(values, width, FAR, |numbers| met.among(numbers));
         let others = AtomicUsize::new(0);
         let depth = Self::of_window(view, window.clone(), |first, distances| {
             let job = Distances { ahead: &ahead, values, width, columns: window[0].clone(), first, distances };
@@ -235,10 +235,19 @@ fn whole(number: f32) -> u32 {
     (number + INTEGER).to_bits() & MANTISSA
 }
 
-/// Columns and rows that hold all numbers but `nothing`, and one more on each side where there is one.
-fn window(numbers: &[f32], width: usize, nothing: f32) -> [Range<usize>; 2] {
-    let met = |rows| simd::dispatch(Met { rows, width, nothing });
-    let bands = numbers.par_chunks(width * LOOKED_AT).map(met).collect::<Vec<_>>().into_iter();
+/// Columns and rows that hold all numbers but `nothing`, and one more on each side where there is one. Looked through are rows of which
+/// there may be any among the numbers.
+fn window(
+    numbers: &[f32],
+    width: usize,
+    nothing: f32,
+    may_be: impl Fn(Range<usize>) -> bool + Sync,
+) -> [Range<usize>; 2] {
+    let met = |(band, rows)| {
+        let first = band * width * LOOKED_AT;
+        simd::dispatch(Window { rows, width, nothing, may_be: |n| may_be(first + n * width..first + (n + 1) * width) })
+    };
+    let bands = numbers.par_chunks(width * LOOKED_AT).enumerate().map(met).collect::<Vec<_>>().into_iter();
     let met = bands.enumerate().filter_map(|(band, met)| {
         let ([columns, rows], above) = (met?, band * LOOKED_AT);
         Some([columns, rows.start + above..rows.end + above])
@@ -253,14 +262,15 @@ fn both([columns, rows]: [Range<usize>; 2], [others, below]: [Range<usize>; 2]) 
     [hull(&columns, &others), hull(&rows, &below)]
 }
 
-/// The job: columns and rows that hold all numbers but `nothing` in rows of `width`, if there are any.
-struct Met<'a> {
+/// The job: columns and rows that hold all numbers but `nothing` in those rows of `width` in which there `may_be` any, if there are.
+struct Window<'a, F> {
     rows: &'a [f32],
     width: usize,
     nothing: f32,
+    may_be: F,
 }
 
-impl Kernel for Met<'_> {
+impl<F: Fn(usize) -> bool> Kernel for Window<'_, F> {
     type Output = Option<[Range<usize>; 2]>;
 
     #[inline(always)]
@@ -273,7 +283,7 @@ impl Kernel for Met<'_> {
             }
             any
         };
-        for (y, row) in self.rows.chunks_exact(self.width).enumerate() {
+        for (y, row) in self.rows.chunks_exact(self.width).enumerate().filter(|(y, _)| (self.may_be)(*y)) {
             // By words, then within the first and the last.
             let Some(first) = row.chunks(WORD).position(any) else { continue };
             let last = row.chunks(WORD).rposition(any).unwrap_or(first);
@@ -295,6 +305,8 @@ fn pixels(view: &View) -> usize {
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
+    use glam::dcamera::rh::proj::opengl::{orthographic, perspective};
+    use proptest::prelude::*;
 
     use super::*;
     use crate::render::{Camera, Orbit};
@@ -329,7 +341,6 @@ mod tests {
 
     #[test]
     fn a_window_depth_is_a_distance_along_the_ray() {
-        use glam::dcamera::rh::proj::opengl::{orthographic, perspective};
         let camera =
             DMat4::from_rotation_x(0.3) * DMat4::from_rotation_z(0.5) * DMat4::from_translation(DVec3::splat(3.0));
         let camera = DMat4::from_translation(DVec3::new(1.0, 2.0, -30.0)) * camera;
@@ -353,7 +364,7 @@ mod tests {
                 if n % 19 < 9 { 1.0 } else { (clip.z / clip.w * 0.5 + 0.5) as f32 }
             };
             let values: Vec<_> = (0..19 * 6).map(window).collect();
-            let depth = SceneDepth::from_window(&values, &view, &projection, &camera).unwrap();
+            let depth = SceneDepth::from_window((&values, &Met::default()), &view, &projection, &camera).unwrap();
             for (n, (distance, value)) in depth.distances().iter().zip(values).enumerate() {
                 let expected = if value < 1.0 { 20.0 + n as f32 / 10.0 } else { f32::INFINITY };
                 assert!((distance - expected).abs() < 1e-3 || *distance == expected, "{distance} and {expected}");
@@ -361,12 +372,40 @@ mod tests {
             assert_eq!(depth.window, [8..19, 0..6]);
         }
         let projection = perspective(0.5, 8.0 / 6.0, 1.0, 100.0);
-        let empty = SceneDepth::from_window(&[1.0; 48], &view(), &projection, &camera).unwrap();
+        let empty = SceneDepth::from_window((&[1.0; 48], &Met::default()), &view(), &projection, &camera).unwrap();
         assert_eq!((empty.at(3, 3), empty.between(DVec2::new(3.0, 2.0))), (f32::INFINITY, f32::INFINITY));
         assert!(empty.window.iter().all(Range::is_empty));
         let mut values = [0.5; 48];
         (values[7], values[20], values[47]) = (-0.1, f32::NAN, 1.5);
-        let refused = SceneDepth::from_window(&values, &view(), &projection, &camera);
+        let refused = SceneDepth::from_window((&values, &Met::default()), &view(), &projection, &camera);
         assert_eq!(refused, Err(NoWindowDepths(3)));
+    }
+
+    proptest! {
+        /// However it comes in pieces.
+        #[test]
+        fn a_depth_buffer_that_was_looked_at_while_it_came_is_the_same(
+            width in 1u32..90,
+            height in 1u32..20,
+            nearer in prop::collection::vec((any::<prop::sample::Index>(), 0.1f32..0.9), 0..4),
+            pieces in prop::collection::vec(1usize..1500, 1..9),
+        ) {
+            let mut values = vec![1.0f32; (width * height) as usize];
+            for (at, depth) in &nearer {
+                *at.get_mut(&mut values) = *depth;
+            }
+            let bytes: Vec<_> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            let mut met = Met::default();
+            for piece in pieces.iter().scan(0, |end, piece| { *end += piece; Some(*end) }) {
+                met.advance(&bytes[..piece.min(bytes.len())]);
+            }
+            let [camera, projection] = [DMat4::from_translation(DVec3::new(0.0, 0.0, -30.0)), orthographic(-9.0, 9.0, -9.0, 9.0, 1.0, 99.0)];
+            let view = View::new(&Camera::Matrices { view: camera, projection }, DVec3::ZERO, 10.0, width, height).unwrap();
+            let [watched, plain] = [&met, &Met::default()]
+                .map(|met| SceneDepth::from_window((&values, met), &view, &projection, &camera).unwrap());
+            prop_assert_eq!(&watched.window, &plain.window);
+            prop_assert!(watched == plain);
+            prop_assert_eq!(plain.distances().iter().filter(|distance| distance.is_finite()).count(), values.iter().filter(|value| **value < 1.0).count());
+        }
     }
 }

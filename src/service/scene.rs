@@ -23,7 +23,7 @@ use xxhash_rust::xxh3::xxh3_128;
 
 use super::App;
 use super::error::Problem;
-use crate::render::depth::SceneDepth;
+use crate::render::depth::{Met, SceneDepth};
 use crate::render::spare::Spare;
 use crate::render::{Image, View};
 
@@ -36,6 +36,8 @@ const WHITE: f32 = u16::MAX as f32;
 /// What came with the request.
 pub struct Parts {
     depth: Part,
+    /// Of the depth part, where that is floats.
+    met: Met,
     color: Option<Part>,
     /// Their place among the scenes that may be in memory, held as long as they are.
     _place: OwnedSemaphorePermit,
@@ -53,11 +55,13 @@ static SPARE_PARTS: Spare<u8> = Spare::none();
 struct Received(Vec<u8>);
 
 impl Received {
-    async fn read(mut field: Field<'_>) -> Result<Self, MultipartError> {
+    /// `watch` is shown what there is as it comes.
+    async fn read(mut field: Field<'_>, mut watch: impl FnMut(&[u8])) -> Result<Self, MultipartError> {
         let mut received = Self(SPARE_PARTS.take());
         received.0.clear();
         while let Some(chunk) = field.chunk().await? {
             received.0.extend_from_slice(&chunk);
+            watch(&received.0);
         }
         Ok(received)
     }
@@ -108,7 +112,7 @@ async fn parts(app: &App, request: Request, place: OwnedSemaphorePermit) -> Resu
     let request = with_body_limit(request, limit).await;
     let mut multipart =
         Multipart::from_request(request, &()).await.map_err(|rejection| Problem::Malformed(rejection.body_text()))?;
-    let (mut request, mut depth, mut color) = (None, None, None);
+    let (mut request, mut depth, mut color, mut met) = (None, None, None, Met::default());
     while let Some(field) = multipart.next_field().await.map_err(failed)? {
         let name = field.name().unwrap_or_default().to_owned();
         let place = match name.as_str() {
@@ -121,11 +125,16 @@ async fn parts(app: &App, request: Request, place: OwnedSemaphorePermit) -> Resu
             return Err(Problem::refused(format!("/{name}"), "expected one such part, got two"));
         }
         let content_type = field.content_type().unwrap_or_default().to_owned();
-        *place = Some(Part { content_type, bytes: Received::read(field).await.map_err(failed)? });
+        let watch = |bytes: &[u8]| {
+            if name == "depth" {
+                met.advance(bytes)
+            }
+        };
+        *place = Some(Part { content_type, bytes: Received::read(field, watch).await.map_err(failed)? });
     }
     let depth = depth.ok_or_else(|| Problem::refused("/depth", "expected a part with the depth buffer"))?;
     let request = request.map(|part: Part| Bytes::copy_from_slice(&part.bytes));
-    Ok((request.unwrap_or_default(), Parts { depth, color, _place: place }))
+    Ok((request.unwrap_or_default(), Parts { depth, met, color, _place: place }))
 }
 
 /// The request with a limit of its own: the router's is for JSON.
@@ -148,7 +157,10 @@ impl Parts {
     /// 422 where a part is not what it should be.
     pub fn scene(&self, view: &View, [camera, projection]: &[DMat4; 2]) -> Result<ClientScene, Problem> {
         let values = self.depth.depths(view.size())?;
-        let depth = SceneDepth::from_window(&values, view, projection, camera);
+        // Of what was decoded nothing is known yet.
+        let (as_received, unknown) = (matches!(values, Cow::Borrowed(_)), Met::default());
+        let met = if as_received { &self.met } else { &unknown };
+        let depth = SceneDepth::from_window((&values, met), view, projection, camera);
         let depth = Arc::new(depth.map_err(|error| Problem::refused("/depth", error.to_string()))?);
         let picture = self.color.as_ref().map(|color| color.picture(view.size())).transpose()?;
         Ok(ClientScene { depth, picture })

@@ -5,13 +5,59 @@ use std::ops::Range;
 use glam::{DMat4, DVec3, DVec4};
 
 use crate::render::view::{Rays, View};
-use crate::simd::Kernel;
+use crate::simd::masks::WORD;
 use crate::simd::wide::{LANES, Lanes};
+use crate::simd::{self, Kernel};
+
+/// The far plane's depth: nothing is there.
+pub const FAR: f32 = 1.0;
 
 /// Values that are no window depths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected values from 0 to 1, got {0} others")]
 pub struct NoWindowDepths(pub usize);
+
+/// Which words of window depths hold anything in front of the far plane: told while they are received, when they are near.
+#[derive(Clone, Debug, Default)]
+pub struct Met(Vec<bool>);
+
+/// Bytes of a word's values.
+const WORD_BYTES: usize = WORD * size_of::<f32>();
+
+impl Met {
+    /// Of 32-bit floats, little endian, as far as they have come: `bytes` are all of these, and looked at once.
+    pub fn advance(&mut self, bytes: &[u8]) {
+        let known = bytes.get(self.0.len() * WORD_BYTES..).unwrap_or_default();
+        simd::dispatch(Advance { words: known.as_chunks().0, met: &mut self.0 });
+    }
+
+    /// Whether there may be anything among some values.
+    pub(super) fn among(&self, values: Range<usize>) -> bool {
+        // The last word may be cut short.
+        (values.start / WORD..values.end.div_ceil(WORD)).any(|word| self.0.get(word).is_none_or(|met| *met))
+    }
+}
+
+/// The job: whether each of some words holds anything in front of the far plane.
+struct Advance<'a> {
+    words: &'a [[u8; WORD_BYTES]],
+    met: &'a mut Vec<bool>,
+}
+
+impl Kernel for Advance<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for word in self.words {
+            let mut others = 0;
+            for value in word.as_chunks().0 {
+                others |= u32::from_le_bytes(*value) ^ FAR.to_bits();
+            }
+            self.met.push(others != 0);
+        }
+    }
+}
 
 /// How far along its ray what lies in window space is: the fraction of two sums, times the length of the ray to where it is 1.
 ///
@@ -71,7 +117,7 @@ impl Ahead {
         let mut distances = [0.0; LANES];
         for lane in 0..LANES {
             let distance = (length[lane] * ahead[lane] / weight[lane]) as f32;
-            distances[lane] = if depths[lane] < 1.0 { distance } else { f32::INFINITY };
+            distances[lane] = if depths[lane] < FAR { distance } else { f32::INFINITY };
         }
         distances
     }
@@ -111,7 +157,7 @@ impl Kernel for Distances<'_> {
                 *distances = ahead.distances([columns.start + n * LANES, y], depths);
             }
             if !rest.is_empty() {
-                let mut depths = [1.0; LANES];
+                let mut depths = [FAR; LANES];
                 depths[..rest.len()].copy_from_slice(rest);
                 count_others(&depths, &mut others);
                 let distances = ahead.distances([columns.end - rest.len(), y], &depths);
