@@ -18,24 +18,23 @@ mod window;
 use std::array::from_fn;
 use std::fmt;
 use std::ops::Range;
-use std::sync::atomic::AtomicUsize;
-use std::sync::atomic::Ordering::Relaxed;
 
 use glam::{DMat4, DVec2};
 use rayon::prelude::*;
 use xxhash_rust::xxh3::xxh3_128;
 
 use super::awake;
-use super::ranges::hull;
+use super::ranges::{common, hull};
 use super::spare::Spare;
 use super::view::View;
 use crate::simd::masks::WORD;
 use crate::simd::wide::{CellRow, INTEGER, LANES, Lanes, MANTISSA, Wide};
 use crate::simd::{self, Kernel};
+use crate::volume::Volume;
 pub use inverse_warp::InverseWarp;
 pub use limits::{Hole, Limits, Seen, SeenScanline, Stretch};
 use surface::{goes_on, smooth};
-use window::{Ahead, Distances, FAR};
+use window::{Ahead, Distances, FAR, seen};
 pub use window::{Met, NoWindowDepths};
 
 /// Rows that are told together.
@@ -91,7 +90,8 @@ impl SceneDepth {
     }
 
     /// From a depth buffer in WebGL's window space (0 on the near plane, 1 on the far one, where nothing is), for the `view` that
-    /// these matrices make; `met` has looked at the values.
+    /// the matrices (projection and view) make; `met` has looked at the values. Nothing is told of rays that pass none of the voxels `shown` of a volume, along
+    /// its axes, where these are given.
     ///
     /// # Errors
     /// Where values are not from 0 to 1.
@@ -99,25 +99,27 @@ impl SceneDepth {
     /// # Panics
     /// Where there is not one value for each pixel.
     pub fn from_window(
-        (values, met): (&[f32], &Met),
+        (values, met): (&[f32], Met),
         view: &View,
-        projection: &DMat4,
-        camera: &DMat4,
+        [projection, camera]: [&DMat4; 2],
+        shown: Option<(&Volume, &[Range<usize>; 3])>,
     ) -> Result<Self, NoWindowDepths> {
         assert_eq!(values.len(), pixels(view), "a value for each pixel");
         let _frame = awake::Frame::begin();
         let ahead = Ahead::new(view, projection, camera);
         let width = view.size().0 as usize;
-        let window = window(values, width, FAR, |numbers| met.among(numbers));
-        let others = AtomicUsize::new(0);
-        let depth = Self::of_window(view, window.clone(), |first, distances| {
-            let job = Distances { ahead: &ahead, values, width, columns: window[0].clone(), first, distances };
-            others.fetch_add(simd::dispatch(job), Relaxed);
-        });
-        match others.into_inner() {
-            0 => Ok(depth),
-            others => Err(NoWindowDepths(others)),
+        let met = met.finish(values)?;
+        let mut window = window(values, width, FAR, |numbers| met.among(numbers));
+        if let Some(shown) = shown {
+            let seen = seen(shown, [projection, camera], [width, values.len() / width]);
+            window = [0, 1].map(|axis| common(&window[axis], &seen[axis]));
         }
+        if window.iter().any(Range::is_empty) {
+            window = [0..0, 0..0];
+        }
+        Ok(Self::of_window(view, window.clone(), |first, distances| {
+            simd::dispatch(Distances { ahead: &ahead, values, width, columns: window[0].clone(), first, distances });
+        }))
     }
 
     /// What `fill` writes, from a row on, of the window's part of rows.
@@ -309,7 +311,9 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::render::view::cut;
     use crate::render::{Camera, Orbit};
+    use crate::volume::phantom;
 
     fn view() -> View {
         View::new(&Camera::Orbit(Orbit::default()), DVec3::ZERO, 10.0, 8, 6).unwrap()
@@ -364,7 +368,8 @@ mod tests {
                 if n % 19 < 9 { 1.0 } else { (clip.z / clip.w * 0.5 + 0.5) as f32 }
             };
             let values: Vec<_> = (0..19 * 6).map(window).collect();
-            let depth = SceneDepth::from_window((&values, &Met::default()), &view, &projection, &camera).unwrap();
+            let depth =
+                SceneDepth::from_window((&values, Met::default()), &view, [&projection, &camera], None).unwrap();
             for (n, (distance, value)) in depth.distances().iter().zip(values).enumerate() {
                 let expected = if value < 1.0 { 20.0 + n as f32 / 10.0 } else { f32::INFINITY };
                 assert!((distance - expected).abs() < 1e-3 || *distance == expected, "{distance} and {expected}");
@@ -372,13 +377,67 @@ mod tests {
             assert_eq!(depth.window, [8..19, 0..6]);
         }
         let projection = perspective(0.5, 8.0 / 6.0, 1.0, 100.0);
-        let empty = SceneDepth::from_window((&[1.0; 48], &Met::default()), &view(), &projection, &camera).unwrap();
+        let empty =
+            SceneDepth::from_window((&[1.0; 48], Met::default()), &view(), [&projection, &camera], None).unwrap();
         assert_eq!((empty.at(3, 3), empty.between(DVec2::new(3.0, 2.0))), (f32::INFINITY, f32::INFINITY));
         assert!(empty.window.iter().all(Range::is_empty));
         let mut values = [0.5; 48];
         (values[7], values[20], values[47]) = (-0.1, f32::NAN, 1.5);
-        let refused = SceneDepth::from_window((&values, &Met::default()), &view(), &projection, &camera);
+        let refused = SceneDepth::from_window((&values, Met::default()), &view(), [&projection, &camera], None);
         assert_eq!(refused, Err(NoWindowDepths(3)));
+    }
+
+    #[test]
+    fn of_rays_that_pass_what_is_shown_all_is_told() {
+        let volume = phantom::uniform([30, 40, 20], 1.0);
+        let voxels = [4..9, 20..33, 0..20];
+        let index_from_world = volume.world_from_index().inverse();
+        let values = [0.5; 60 * 50];
+        for projection in
+            [perspective(0.9, 60.0 / 50.0, 1.0, 200.0), orthographic(-72.0, 72.0, -60.0, 60.0, 1.0, 200.0)]
+        {
+            for step in 0..12 {
+                let turned = DMat4::from_rotation_x(f64::from(step)) * DMat4::from_rotation_z(f64::from(step) * 0.7);
+                let camera = DMat4::from_translation(DVec3::new(3.0, -2.0, -60.0))
+                    * turned
+                    * DMat4::from_translation(-volume.centre());
+                let view =
+                    View::new(&Camera::Matrices { view: camera, projection }, volume.centre(), 30.0, 60, 50).unwrap();
+                let [some, all] = [Some((&volume, &voxels)), None].map(|shown| {
+                    SceneDepth::from_window((&values, Met::default()), &view, [&projection, &camera], shown).unwrap()
+                });
+                let (mut passed, mut told) = (0, 0);
+                for (x, y) in (0..50).flat_map(|y| (0..60).map(move |x| (x, y))) {
+                    let ray = view.ray(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+                    let [start, along] = [
+                        index_from_world.transform_point3(ray.origin),
+                        index_from_world.transform_vector3(ray.direction),
+                    ];
+                    let mut span = [f64::NEG_INFINITY, f64::INFINITY];
+                    for axis in 0..3 {
+                        span = cut(span, start[axis] - voxels[axis].start as f64, along[axis]);
+                        span = cut(span, voxels[axis].end as f64 - 1.0 - start[axis], -along[axis]);
+                    }
+                    if span[0] < span[1] {
+                        assert_eq!(some.at(x, y), all.at(x, y), "step {step}, pixel ({x}, {y})");
+                        passed += 1;
+                    }
+                    told += usize::from(some.at(x, y).is_finite());
+                }
+                assert!(passed > 0 && told < 60 * 50, "{passed} of {told}");
+            }
+        }
+        let nothing = [0..0, 0..0, 0..0];
+        let [projection, camera] =
+            [perspective(0.9, 1.2, 1.0, 200.0), DMat4::from_translation(DVec3::new(0.0, 0.0, -60.0))];
+        let view = View::new(&Camera::Matrices { view: camera, projection }, DVec3::ZERO, 30.0, 60, 50).unwrap();
+        let told = SceneDepth::from_window(
+            (&values, Met::default()),
+            &view,
+            [&projection, &camera],
+            Some((&volume, &nothing)),
+        );
+        assert!(told.unwrap().distances().iter().all(|distance| distance.is_infinite()));
     }
 
     proptest! {
@@ -401,8 +460,8 @@ mod tests {
             }
             let [camera, projection] = [DMat4::from_translation(DVec3::new(0.0, 0.0, -30.0)), orthographic(-9.0, 9.0, -9.0, 9.0, 1.0, 99.0)];
             let view = View::new(&Camera::Matrices { view: camera, projection }, DVec3::ZERO, 10.0, width, height).unwrap();
-            let [watched, plain] = [&met, &Met::default()]
-                .map(|met| SceneDepth::from_window((&values, met), &view, &projection, &camera).unwrap());
+            let [watched, plain] = [met, Met::default()]
+                .map(|met| SceneDepth::from_window((&values, met), &view, [&projection, &camera], None).unwrap());
             prop_assert_eq!(&watched.window, &plain.window);
             prop_assert!(watched == plain);
             prop_assert_eq!(plain.distances().iter().filter(|distance| distance.is_finite()).count(), values.iter().filter(|value| **value < 1.0).count());

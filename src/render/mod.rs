@@ -23,6 +23,8 @@ pub mod spare;
 pub mod view;
 pub mod warp;
 
+use std::array::from_fn;
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -36,6 +38,7 @@ use crate::simd;
 use crate::volume::{PreparedVolume, Volume};
 use factorization::Factorization;
 pub use image::Image;
+use ranges::hull;
 use shadow::Shadow;
 pub use view::{Ball, Camera, Clip, HalfSpace, LookAt, Orbit, Projection, Ray, View, ViewError};
 
@@ -410,6 +413,13 @@ impl Scene<'_> {
     fn is_painted(&self) -> bool {
         self.labels.is_some() || self.prepared.volume().colors().is_some()
     }
+}
+
+/// The voxels along a volume's axes x, y, z that all that `scenes` show of it lies among, as far as classifications know.
+pub fn shown<'a>(scenes: impl Iterator<Item = &'a Scene<'a>>) -> [Range<usize>; 3] {
+    let all = |scene: &Scene<'_>| scene.prepared.volume().dims().map(|voxels| 0..voxels);
+    let bounds = scenes.map(|scene| scene.classification.map_or_else(|| all(scene), |known| known.bounds().clone()));
+    bounds.fold([0, 1, 2].map(|_| 0..0), |all, own| from_fn(|axis| hull(&all[axis], &own[axis])))
 }
 
 /// Refuses what [`render`] would refuse, before anything is built or queued for it. `labelled`: there is a segmentation.

@@ -12,6 +12,12 @@ pub fn hull(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
     }
 }
 
+/// What two ranges have in common.
+#[inline(always)]
+pub fn common(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
+    a.start.max(b.start)..a.end.min(b.end)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -23,5 +29,7 @@ mod tests {
         assert_eq!(hull(&(0..0), &(2..3)), 2..3);
         assert_eq!(hull(&(2..3), &(Range { start: 9, end: 1 })), 2..3);
         assert!(hull(&(4..4), &(0..0)).is_empty());
+        assert_eq!(common(&(1..7), &(3..9)), 3..7);
+        assert!(common(&(1..3), &(5..9)).is_empty());
     }
 }

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use super::depth::{Hole, InverseWarp, Limits, SeenScanline, Stretch};
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
-use super::ranges::hull;
+use super::ranges::{common, hull};
 use super::view::{Clip, cut};
 use super::{Cancel, Image, RenderError, Scene, Settings, Timings, View, awake, image, rays, shear_warp};
 use crate::volume::Volume;
@@ -210,7 +210,7 @@ impl Layers {
                 return Err(RenderError::Cancelled);
             }
             let told = hull(&met[v], &depth.map_or(0..0, |depth| depth.may_end(v)));
-            let told = if vs.contains(&v) { told.start.max(us.start)..told.end.min(us.end) } else { 0..0 };
+            let told = if vs.contains(&v) { common(&told, us) } else { 0..0 };
             let mut found = Scanline { pieces: Vec::with_capacity(told.len()), holes: vec![], told };
             // Slices behind the front one: an eye among the slices may have passed that.
             let [[first, first_step], [second, second_step]] = [1.0, 2.0].map(|position| {

@@ -3,9 +3,7 @@
 mod slabs;
 mod voxels;
 
-use std::array::from_fn;
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -17,11 +15,10 @@ use super::composite::{Composite, naive};
 use super::depth::InverseWarp;
 use super::factorization::Factorization;
 use super::intermediate::IntermediateImage;
-use super::ranges::hull;
 use super::ray_light::RayLight;
 use super::regions::{self, Layers, Region, Shape};
 use super::shade::ShadingTable;
-use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Stage, Timings, View, image, warp};
+use super::{Algorithm, Cancel, Image, RenderError, Scene, Settings, Stage, Timings, View, image, shown, warp};
 use crate::classify::Classification;
 use crate::volume::gradient::GradientFrame;
 
@@ -40,7 +37,7 @@ pub(super) fn frame(
 
     // Shear, resample and composite the slices into an intermediate image for each part.
     let mut timings = Timings { shade: start.elapsed(), ..Timings::default() };
-    let shown = shown(scene, regions);
+    let shown = shown(scenes(scene, regions));
     let mut layers = vec![];
     for factorization in &parts {
         let depth = InverseWarp::of(view, scene.prepared.volume(), factorization, &shown);
@@ -78,11 +75,9 @@ pub(super) fn frame(
     Ok((image, timings))
 }
 
-/// The voxels along the volume's axes that all that shows lies among, in regions and around them.
-fn shown(scene: &Scene<'_>, regions: &[Region<'_>]) -> [Range<usize>; 3] {
-    let scenes = regions.iter().filter_map(|region| region.shown.as_ref()).map(|(scene, _)| scene).chain([scene]);
-    let bounds = scenes.filter_map(|scene| scene.classification).map(Classification::bounds);
-    bounds.fold([0, 1, 2].map(|_| 0..0), |all, bounds| from_fn(|axis| hull(&all[axis], &bounds[axis])))
+/// All that is shown of the volume, around regions and in them.
+fn scenes<'a>(scene: &'a Scene<'a>, regions: &'a [Region<'a>]) -> impl Iterator<Item = &'a Scene<'a>> {
+    regions.iter().filter_map(|region| region.shown.as_ref()).map(|(scene, _)| scene).chain([scene])
 }
 
 /// The intermediate image of a part of the view.
@@ -111,7 +106,7 @@ fn part(
 
     // Where regions look otherwise, layer behind layer, in this image already: a ray's pieces are blended before
     // rays are. One layer is over the background at once.
-    let pixels = factorization.pixels_over(&shown(scene, regions));
+    let pixels = factorization.pixels_over(&shown(scenes(scene, regions)));
     let layers = Layers::new(volume, (factorization, &pixels), depth, &Shape::of(regions), cancel)?;
     let all = layers.which();
     let ground = if all.len() == 1 { behind } else { Vec4::ZERO };

@@ -293,7 +293,10 @@ impl Asked {
                     shadow: shadow.as_deref().filter(|_| nth == 0),
                 })
                 .collect();
-            let client = scene.map(|(parts, matrices)| parts.scene(&frame.view, &matrices)).transpose()?;
+            // Solids hide, and are hidden, beside the volume too.
+            let shown = solids.is_empty().then(|| render::shown(scenes.iter()));
+            let shown = shown.as_ref().map(|shown| (prepared.volume(), shown));
+            let client = scene.map(|(parts, matrices)| parts.scene(&frame.view, &matrices, shown)).transpose()?;
             let view = match &client {
                 None => frame.view.clone(),
                 Some(client) => frame.view.clone().ending_at(Arc::clone(&client.depth)),

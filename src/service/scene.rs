@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use std::convert::Infallible;
 use std::future::ready;
 use std::io::Cursor;
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 use std::sync::Arc;
 
 use axum::body::Bytes;
@@ -26,6 +26,7 @@ use super::error::Problem;
 use crate::render::depth::{Met, SceneDepth};
 use crate::render::spare::Spare;
 use crate::render::{Image, View};
+use crate::volume::Volume;
 
 const OCTETS: &str = "application/octet-stream";
 const PNG: &str = "image/png";
@@ -151,16 +152,21 @@ impl Parts {
         self.color.is_some()
     }
 
-    /// Decodes the parts for the view that these matrices (view and projection) make, on the current rayon pool.
+    /// Decodes the parts for the view that these matrices (view and projection) make, on the current rayon pool. Nothing is told of rays that
+    /// pass none of the voxels `shown` of a volume, where these are given.
     ///
     /// # Errors
     /// 422 where a part is not what it should be.
-    pub fn scene(&self, view: &View, [camera, projection]: &[DMat4; 2]) -> Result<ClientScene, Problem> {
+    pub fn scene(
+        &self,
+        view: &View,
+        [camera, projection]: &[DMat4; 2],
+        shown: Option<(&Volume, &[Range<usize>; 3])>,
+    ) -> Result<ClientScene, Problem> {
         let values = self.depth.depths(view.size())?;
         // Of what was decoded nothing is known yet.
-        let (as_received, unknown) = (matches!(values, Cow::Borrowed(_)), Met::default());
-        let met = if as_received { &self.met } else { &unknown };
-        let depth = SceneDepth::from_window((&values, met), view, projection, camera);
+        let met = if matches!(values, Cow::Borrowed(_)) { self.met.clone() } else { Met::default() };
+        let depth = SceneDepth::from_window((&values, met), view, [projection, camera], shown);
         let depth = Arc::new(depth.map_err(|error| Problem::refused("/depth", error.to_string()))?);
         let picture = self.color.as_ref().map(|color| color.picture(view.size())).transpose()?;
         Ok(ClientScene { depth, picture })

@@ -9,7 +9,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::{Limits, SceneDepth, SeenScanline, goes_on};
 use crate::render::factorization::Factorization;
-use crate::render::ranges::hull;
+use crate::render::ranges::{common, hull};
 use crate::render::view::{Rays, View};
 use crate::render::warp::inside;
 use crate::simd::masks::{Masks, WORD};
@@ -81,7 +81,7 @@ impl<'a> InverseWarp<'a> {
         }
         let start = self.image_from_sheared * DVec3::new(0.0, v as f64, 1.0);
         let met = inside([low, high], start, self.image_from_sheared.x_axis, self.factorization.size[0]);
-        met.start.max(us.start)..met.end.min(us.end)
+        common(&met, us)
     }
 
     /// Where rays end that go on behind the volume.

@@ -1,25 +1,35 @@
 //! Distances of a depth buffer in window space.
 
+use std::array;
 use std::ops::Range;
 
-use glam::{DMat4, DVec3, DVec4};
+use glam::{DMat4, DVec2, DVec3, DVec4};
 
 use crate::render::view::{Rays, View};
 use crate::simd::masks::WORD;
 use crate::simd::wide::{LANES, Lanes};
 use crate::simd::{self, Kernel};
+use crate::volume::Volume;
 
 /// The far plane's depth: nothing is there.
 pub const FAR: f32 = 1.0;
+
+/// So many voxels and pixels around what is seen are told of it: as far as rays, and what is torn between them, are looked at.
+const AROUND: f64 = 6.0;
 
 /// Values that are no window depths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected values from 0 to 1, got {0} others")]
 pub struct NoWindowDepths(pub usize);
 
-/// Which words of window depths hold anything in front of the far plane: told while they are received, when they are near.
+/// What is told of window depths while they are received, when they are near.
 #[derive(Clone, Debug, Default)]
-pub struct Met(Vec<bool>);
+pub struct Met {
+    /// Which words of them hold anything in front of the far plane.
+    words: Vec<bool>,
+    /// How many of them are none.
+    others: usize,
+}
 
 /// Bytes of a word's values.
 const WORD_BYTES: usize = WORD * size_of::<f32>();
@@ -27,21 +37,33 @@ const WORD_BYTES: usize = WORD * size_of::<f32>();
 impl Met {
     /// Of 32-bit floats, little endian, as far as they have come: `bytes` are all of these, and looked at once.
     pub fn advance(&mut self, bytes: &[u8]) {
-        let known = bytes.get(self.0.len() * WORD_BYTES..).unwrap_or_default();
-        simd::dispatch(Advance { words: known.as_chunks().0, met: &mut self.0 });
+        let unknown = bytes.get(self.words.len() * WORD_BYTES..).unwrap_or_default();
+        simd::dispatch(Advance { unknown: unknown.as_chunks().0, met: self });
+    }
+
+    /// Of all of them.
+    ///
+    /// # Errors
+    /// Where values are not from 0 to 1.
+    pub(super) fn finish(mut self, values: &[f32]) -> Result<Self, NoWindowDepths> {
+        let unknown = values.get(self.words.len() * WORD..).unwrap_or_default();
+        for word in unknown.chunks(WORD) {
+            self.words.push(word.iter().any(|value| *value != FAR));
+            self.others += word.iter().filter(|value| !(0.0..=FAR).contains(*value)).count();
+        }
+        if self.others == 0 { Ok(self) } else { Err(NoWindowDepths(self.others)) }
     }
 
     /// Whether there may be anything among some values.
     pub(super) fn among(&self, values: Range<usize>) -> bool {
-        // The last word may be cut short.
-        (values.start / WORD..values.end.div_ceil(WORD)).any(|word| self.0.get(word).is_none_or(|met| *met))
+        self.words[values.start / WORD..values.end.div_ceil(WORD)].contains(&true)
     }
 }
 
-/// The job: whether each of some words holds anything in front of the far plane.
+/// The job: whether each of some words holds anything in front of the far plane, and what is no depth.
 struct Advance<'a> {
-    words: &'a [[u8; WORD_BYTES]],
-    met: &'a mut Vec<bool>,
+    unknown: &'a [[u8; WORD_BYTES]],
+    met: &'a mut Met,
 }
 
 impl Kernel for Advance<'_> {
@@ -49,12 +71,17 @@ impl Kernel for Advance<'_> {
 
     #[inline(always)]
     fn run(self) {
-        for word in self.words {
-            let mut others = 0;
+        let Self { unknown, met } = self;
+        for word in unknown {
+            let (mut nearer, mut others) = (0, 0);
             for value in word.as_chunks().0 {
-                others |= u32::from_le_bytes(*value) ^ FAR.to_bits();
+                // Positive numbers are in the order of their bits.
+                let bits = u32::from_le_bytes(*value);
+                nearer |= bits ^ FAR.to_bits();
+                others += u32::from((bits > FAR.to_bits()) & (bits != (-0.0f32).to_bits()));
             }
-            self.met.push(others != 0);
+            met.words.push(nearer != 0);
+            met.others += others as usize;
         }
     }
 }
@@ -123,15 +150,39 @@ impl Ahead {
     }
 }
 
-/// Counts by lane what is no window depth.
-#[inline(always)]
-fn count_others(depths: &Lanes, others: &mut [u32; LANES]) {
-    for lane in 0..LANES {
-        others[lane] += u32::from(!((depths[lane] >= 0.0) & (depths[lane] <= 1.0)));
+/// The columns and rows of a picture of `size`, and a few around, in which these matrices show some voxels of a volume along its axes x, y, z.
+pub fn seen(
+    (volume, voxels): (&Volume, &[Range<usize>; 3]),
+    [projection, camera]: [&DMat4; 2],
+    size: [usize; 2],
+) -> [Range<usize>; 2] {
+    if voxels.iter().any(Range::is_empty) {
+        return [0..0, 0..0];
     }
+    let clip_from_index = *projection * *camera * volume.world_from_index();
+    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for corner in 0..8 {
+        let index = array::from_fn(|axis| match corner >> axis & 1 {
+            0 => voxels[axis].start as f64 - AROUND,
+            _ => voxels[axis].end as f64 - 1.0 + AROUND,
+        });
+        let clip = clip_from_index * DVec3::from_array(index).extend(1.0);
+        if clip.w <= 0.0 {
+            // Behind the eye.
+            return size.map(|size| 0..size);
+        }
+        let at = clip.truncate().truncate() / clip.w;
+        (low, high) = (low.min(at), high.max(at));
+    }
+    let of_axis = |[low, high]: [f64; 2], size: usize| {
+        let [low, high] = [low, high].map(|at| (at + 1.0) / 2.0 * size as f64);
+        (low - AROUND).floor().max(0.0) as usize..((high + AROUND).ceil().max(0.0) as usize).min(size)
+    };
+    // Rows are counted from the top.
+    [of_axis([low.x, high.x], size[0]), of_axis([-high.y, -low.y], size[1])]
 }
 
-/// The job: distances of some `columns` of values of window depth, from row `first` of a picture on; gives how many are none.
+/// The job: distances of some `columns` of values of window depth, from row `first` of a picture on.
 pub struct Distances<'a> {
     pub ahead: &'a Ahead,
     /// Of the whole picture, in rows of `width`.
@@ -143,27 +194,23 @@ pub struct Distances<'a> {
 }
 
 impl Kernel for Distances<'_> {
-    type Output = usize;
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> usize {
+    fn run(self) {
         let Self { ahead, values, width, columns, first, distances } = self;
-        let mut others = [0; LANES];
         for (y, distances) in (first..).zip(distances.chunks_exact_mut(columns.len())) {
             let values = &values[y * width..][columns.clone()];
             let ((values, rest), (distances, last)) = (values.as_chunks(), distances.as_chunks_mut());
             for (n, (depths, distances)) in values.iter().zip(distances).enumerate() {
-                count_others(depths, &mut others);
                 *distances = ahead.distances([columns.start + n * LANES, y], depths);
             }
             if !rest.is_empty() {
                 let mut depths = [FAR; LANES];
                 depths[..rest.len()].copy_from_slice(rest);
-                count_others(&depths, &mut others);
                 let distances = ahead.distances([columns.end - rest.len(), y], &depths);
                 last.copy_from_slice(&distances[..rest.len()]);
             }
         }
-        others.into_iter().sum::<u32>() as usize
     }
 }
