@@ -176,20 +176,14 @@ impl<'a> InverseWarp<'a> {
         let met = hull(&upper.told(), &lower.told());
         let cells = us.start.max(met.start.saturating_sub(1))..us.end.min(met.end).min(width - 1);
         let last = cells.end;
-        let words = cells.step_by(WORD).flat_map(move |first| {
-            let mut apart = simd::dispatch(Apart { rows: [upper, lower], first, least });
+        cells.step_by(WORD).flat_map(move |first| {
+            let mut torn = simd::dispatch(Torn { rows, width, first, least });
             let of_word = from_fn(move || {
-                let n = apart.trailing_zeros() as usize;
-                apart &= apart.wrapping_sub(1);
+                let n = torn.trailing_zeros() as usize;
+                torn &= torn.wrapping_sub(1);
                 (n < WORD).then_some(first + n)
             });
             of_word.take_while(move |u| *u < last)
-        });
-        words.filter(move |u| {
-            let get = |du: usize, row: usize| rows[row].at((u + du).saturating_sub(1).min(width - 1)).to;
-            let row = |n: usize| goes_on(get(0, n), get(1, n), get(2, n), get(3, n));
-            let column = |n: usize| goes_on(get(n, 0), get(n, 1), get(n, 2), get(n, 3));
-            !(row(1) && row(2) && column(1) && column(2))
         })
     }
 }
@@ -232,14 +226,16 @@ impl Ends<'_, '_> {
     }
 }
 
-/// The job: of which of 64 pixels of an upper scanline, from one on, ends of that, the next and of the two below are more than `least` apart.
-struct Apart<'a> {
-    rows: [&'a SeenScanline; 2],
+/// The job: at which of 64 pixels of a scanline, from one on, what ends the rays is torn between that, the next and the two below.
+struct Torn<'a> {
+    /// The one before the scanline, that, and the two below it.
+    rows: [&'a SeenScanline; 4],
+    width: usize,
     first: usize,
     least: f32,
 }
 
-impl Kernel for Apart<'_> {
+impl Kernel for Torn<'_> {
     type Output = u64;
 
     #[inline(always)]
@@ -254,19 +250,55 @@ impl Kernel for Apart<'_> {
     }
 }
 
-impl Apart<'_> {
+impl Torn<'_> {
     #[inline(always)]
     fn find<W: Masks>(self) -> u64 {
-        let (mut upper, mut lower, mut spans) = ([0.0; WORD + 1], [0.0; WORD + 1], [0.0; WORD]);
-        let [above, below] = self.rows;
-        above.ends(self.first, &mut upper);
-        below.ends(self.first, &mut lower);
+        // With a pixel before the first and two behind the last.
+        let mut ends = [[0.0; WORD + 3]; 4];
+        for row in [1, 2] {
+            self.ends(row, &mut ends[row]);
+        }
+        let mut spans = [0.0; WORD];
         for n in 0..WORD {
-            let (a, b, c, d) = (upper[n], upper[n + 1], lower[n], lower[n + 1]);
+            let [a, b, c, d] = [ends[1][n + 1], ends[1][n + 2], ends[2][n + 1], ends[2][n + 2]];
             spans[n] = most(most(a, b), most(c, d)) - least(least(a, b), least(c, d));
         }
         let [together, _] = W::numbers(&spans, self.least, self.least);
-        !together
+        if together == u64::MAX {
+            return 0;
+        }
+        for row in [0, 3] {
+            self.ends(row, &mut ends[row]);
+        }
+        let mut columns = [false; WORD + 3];
+        for n in 0..WORD + 3 {
+            columns[n] = goes_on(ends[0][n], ends[1][n], ends[2][n], ends[3][n]);
+        }
+        // 1 where a surface goes on along both rows and both columns.
+        let mut on = [0.0; WORD];
+        for n in 0..WORD {
+            let [upper, lower] = [&ends[1], &ends[2]];
+            let rows = goes_on(upper[n], upper[n + 1], upper[n + 2], upper[n + 3])
+                & goes_on(lower[n], lower[n + 1], lower[n + 2], lower[n + 3]);
+            on[n] = f32::from(u8::from(rows & columns[n + 1] & columns[n + 2]));
+        }
+        let [torn, _] = W::numbers(&on, 0.0, 0.0);
+        torn & !together
+    }
+
+    /// Finds where rays end on one of the scanlines; beyond the image it is as on its border.
+    #[inline(always)]
+    fn ends(&self, row: usize, ends: &mut [f32; WORD + 3]) {
+        let before = usize::from(self.first == 0);
+        self.rows[row].ends(self.first + before - 1, &mut ends[before..]);
+        if before == 1 {
+            ends[0] = ends[1];
+        }
+        let last = self.width - self.first;
+        if last < WORD + 2 {
+            let border = ends[last];
+            ends[last + 1..].fill(border);
+        }
     }
 }
 
@@ -344,6 +376,50 @@ mod tests {
     use super::*;
     use crate::render::{Camera, Orbit, Projection};
     use crate::volume::phantom;
+
+    /// Told of all pixels of a word at once, and of each by those around it.
+    #[test]
+    fn what_is_torn_is_told_alike_pixel_by_pixel() {
+        let volume = phantom::uniform([150, 90, 40], 1.0);
+        for (azimuth, elevation) in [(20.0, 15.0), (90.0, 0.0), (200.0, -70.0)] {
+            let orbit = Orbit { azimuth, elevation, ..Orbit::default() };
+            let view = View::new(&Camera::Orbit(orbit), volume.centre(), volume.radius(), 90, 80).unwrap();
+            // A ball before a slope before nothing.
+            let distance = |n: usize| {
+                let (x, y) = ((n % 90) as f64, (n / 90) as f64);
+                let ray = view.ray(DVec2::new(x + 0.5, y + 0.5));
+                let middle = (volume.centre() - ray.origin).dot(ray.direction);
+                let ball = 400.0 - (x - 40.0).powi(2) - (y - 30.0).powi(2);
+                let behind = if y < 60.0 { x - 20.0 } else { f64::INFINITY };
+                (middle + if ball > 0.0 { -ball.sqrt() - 10.0 } else { behind }) as f32
+            };
+            let view = view.clone().ending_at(Arc::new(SceneDepth::new(&view, (0..90 * 80).map(distance).collect())));
+            for factorization in Factorization::parts(&view, &volume).unwrap() {
+                let warp = InverseWarp::of(&view, &volume, &factorization, &volume.dims().map(|n| 0..n)).unwrap();
+                let [width, height] = factorization.size;
+                let mut count = 0;
+                for v in 0..height - 1 {
+                    let end = |u: usize, v: usize| {
+                        warp.end(u.saturating_sub(1).min(width - 1), v.saturating_sub(1).min(height - 1))
+                    };
+                    let is_torn = |u: &usize| {
+                        let ends: [[f32; 4]; 4] =
+                            array::from_fn(|row| array::from_fn(|column| end(u + column, v + row)));
+                        let inner = [ends[1][1], ends[1][2], ends[2][1], ends[2][2]];
+                        let span = inner.iter().fold(f32::MIN, |a, b| a.max(*b))
+                            - inner.iter().fold(f32::MAX, |a, b| a.min(*b));
+                        let row = |n: usize| goes_on(ends[n][0], ends[n][1], ends[n][2], ends[n][3]);
+                        let column = |n: usize| goes_on(ends[0][n], ends[1][n], ends[2][n], ends[3][n]);
+                        span > 1.0 && !(row(1) && row(2) && column(1) && column(2))
+                    };
+                    let expected: Vec<_> = (0..width - 1).filter(is_torn).collect();
+                    assert_eq!(warp.torn(v, 0..width, 1.0).collect::<Vec<_>>(), expected, "scanline {v}");
+                    count += expected.len();
+                }
+                assert!(count > 50 && count < width * height / 4, "{count} of {width} x {height}");
+            }
+        }
+    }
 
     #[test]
     fn rays_that_may_meet_something_are_all_that_do() {
