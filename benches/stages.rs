@@ -142,9 +142,13 @@ fn depth_buffer(criterion: &mut Criterion) {
         });
         let view = view.clone().ending_at(Arc::new(SceneDepth::new(&view, distances)));
         let parts = Factorization::parts(&view, &volume).expect("the view can be rendered");
-        let all = volume.dims().map(|n| 0..n);
         criterion.bench_function(&format!("depth_buffer/inverse warp, {name}"), |b| {
-            b.iter(|| parts.iter().filter_map(|part| InverseWarp::of(&view, &volume, part, &all)).count());
+            b.iter(|| {
+                parts
+                    .iter()
+                    .filter_map(|part| InverseWarp::of(&view, &volume, part, part.size.map(|size| 0..size)))
+                    .count()
+            });
         });
     }
 }

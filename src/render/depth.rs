@@ -99,7 +99,8 @@ impl SceneDepth {
     /// # Panics
     /// Where there is not one value for each pixel.
     pub fn from_window(
-        (values, met): (&[f32], Met),
+        values: &[f32],
+        met: Met,
         view: &View,
         [projection, camera]: [&DMat4; 2],
         shown: Option<(&Volume, &[Range<usize>; 3])>,
@@ -368,8 +369,7 @@ mod tests {
                 if n % 19 < 9 { 1.0 } else { (clip.z / clip.w * 0.5 + 0.5) as f32 }
             };
             let values: Vec<_> = (0..19 * 6).map(window).collect();
-            let depth =
-                SceneDepth::from_window((&values, Met::default()), &view, [&projection, &camera], None).unwrap();
+            let depth = SceneDepth::from_window(&values, Met::default(), &view, [&projection, &camera], None).unwrap();
             for (n, (distance, value)) in depth.distances().iter().zip(values).enumerate() {
                 let expected = if value < 1.0 { 20.0 + n as f32 / 10.0 } else { f32::INFINITY };
                 assert!((distance - expected).abs() < 1e-3 || *distance == expected, "{distance} and {expected}");
@@ -377,13 +377,12 @@ mod tests {
             assert_eq!(depth.window, [8..19, 0..6]);
         }
         let projection = perspective(0.5, 8.0 / 6.0, 1.0, 100.0);
-        let empty =
-            SceneDepth::from_window((&[1.0; 48], Met::default()), &view(), [&projection, &camera], None).unwrap();
+        let empty = SceneDepth::from_window(&[1.0; 48], Met::default(), &view(), [&projection, &camera], None).unwrap();
         assert_eq!((empty.at(3, 3), empty.between(DVec2::new(3.0, 2.0))), (f32::INFINITY, f32::INFINITY));
         assert!(empty.window.iter().all(Range::is_empty));
         let mut values = [0.5; 48];
         (values[7], values[20], values[47]) = (-0.1, f32::NAN, 1.5);
-        let refused = SceneDepth::from_window((&values, Met::default()), &view(), [&projection, &camera], None);
+        let refused = SceneDepth::from_window(&values, Met::default(), &view(), [&projection, &camera], None);
         assert_eq!(refused, Err(NoWindowDepths(3)));
     }
 
@@ -404,7 +403,7 @@ mod tests {
                 let view =
                     View::new(&Camera::Matrices { view: camera, projection }, volume.centre(), 30.0, 60, 50).unwrap();
                 let [some, all] = [Some((&volume, &voxels)), None].map(|shown| {
-                    SceneDepth::from_window((&values, Met::default()), &view, [&projection, &camera], shown).unwrap()
+                    SceneDepth::from_window(&values, Met::default(), &view, [&projection, &camera], shown).unwrap()
                 });
                 let (mut passed, mut told) = (0, 0);
                 for (x, y) in (0..50).flat_map(|y| (0..60).map(move |x| (x, y))) {
@@ -431,12 +430,8 @@ mod tests {
         let [projection, camera] =
             [perspective(0.9, 1.2, 1.0, 200.0), DMat4::from_translation(DVec3::new(0.0, 0.0, -60.0))];
         let view = View::new(&Camera::Matrices { view: camera, projection }, DVec3::ZERO, 30.0, 60, 50).unwrap();
-        let told = SceneDepth::from_window(
-            (&values, Met::default()),
-            &view,
-            [&projection, &camera],
-            Some((&volume, &nothing)),
-        );
+        let told =
+            SceneDepth::from_window(&values, Met::default(), &view, [&projection, &camera], Some((&volume, &nothing)));
         assert!(told.unwrap().distances().iter().all(|distance| distance.is_infinite()));
     }
 
@@ -461,7 +456,7 @@ mod tests {
             let [camera, projection] = [DMat4::from_translation(DVec3::new(0.0, 0.0, -30.0)), orthographic(-9.0, 9.0, -9.0, 9.0, 1.0, 99.0)];
             let view = View::new(&Camera::Matrices { view: camera, projection }, DVec3::ZERO, 10.0, width, height).unwrap();
             let [watched, plain] = [met, Met::default()]
-                .map(|met| SceneDepth::from_window((&values, met), &view, [&projection, &camera], None).unwrap());
+                .map(|met| SceneDepth::from_window(&values, met, &view, [&projection, &camera], None).unwrap());
             prop_assert_eq!(&watched.window, &plain.window);
             prop_assert!(watched == plain);
             prop_assert_eq!(plain.distances().iter().filter(|distance| distance.is_finite()).count(), values.iter().filter(|value| **value < 1.0).count());

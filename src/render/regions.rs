@@ -195,7 +195,8 @@ impl Layers {
     /// [`RenderError::Cancelled`].
     pub fn new(
         volume: &Volume,
-        (factorization, [us, vs]): (&Factorization, &[Range<usize>; 2]),
+        factorization: &Factorization,
+        [us, vs]: &[Range<usize>; 2],
         depth: Option<&InverseWarp<'_>>,
         shapes: &[Shape],
         cancel: &Cancel,

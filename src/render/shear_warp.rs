@@ -4,6 +4,7 @@ mod slabs;
 mod voxels;
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -37,12 +38,14 @@ pub(super) fn frame(
 
     // Shear, resample and composite the slices into an intermediate image for each part.
     let mut timings = Timings { shade: start.elapsed(), ..Timings::default() };
-    let shown = shown(scenes(scene, regions));
+    let in_regions = regions.iter().filter_map(|region| region.shown.as_ref()).map(|(scene, _)| scene);
+    let shown = shown(in_regions.chain([scene]));
     let mut layers = vec![];
     for factorization in &parts {
-        let depth = InverseWarp::of(view, scene.prepared.volume(), factorization, &shown);
+        let pixels = factorization.pixels_over(&shown);
+        let depth = InverseWarp::of(view, scene.prepared.volume(), factorization, pixels.clone());
         layers.push((
-            part(scene, view, (factorization, depth.as_ref()), settings, regions, &mut timings, cancel)?,
+            part(scene, view, (factorization, &pixels, depth.as_ref()), settings, regions, &mut timings, cancel)?,
             depth,
         ));
     }
@@ -75,16 +78,11 @@ pub(super) fn frame(
     Ok((image, timings))
 }
 
-/// All that is shown of the volume, around regions and in them.
-fn scenes<'a>(scene: &'a Scene<'a>, regions: &'a [Region<'a>]) -> impl Iterator<Item = &'a Scene<'a>> {
-    regions.iter().filter_map(|region| region.shown.as_ref()).map(|(scene, _)| scene).chain([scene])
-}
-
 /// The intermediate image of a part of the view.
 fn part(
     scene: &Scene<'_>,
     view: &View,
-    (factorization, depth): (&Factorization, Option<&InverseWarp<'_>>),
+    (factorization, pixels, depth): (&Factorization, &[Range<usize>; 2], Option<&InverseWarp<'_>>),
     settings: &Settings,
     regions: &[Region<'_>],
     timings: &mut Timings,
@@ -106,8 +104,7 @@ fn part(
 
     // Where regions look otherwise, layer behind layer, in this image already: a ray's pieces are blended before
     // rays are. One layer is over the background at once.
-    let pixels = factorization.pixels_over(&shown(scenes(scene, regions)));
-    let layers = Layers::new(volume, (factorization, &pixels), depth, &Shape::of(regions), cancel)?;
+    let layers = Layers::new(volume, factorization, pixels, depth, &Shape::of(regions), cancel)?;
     let all = layers.which();
     let ground = if all.len() == 1 { behind } else { Vec4::ZERO };
     let mut image = IntermediateImage::blank(factorization.size);

@@ -166,7 +166,7 @@ impl Parts {
         let values = self.depth.depths(view.size())?;
         // Of what was decoded nothing is known yet.
         let met = if matches!(values, Cow::Borrowed(_)) { self.met.clone() } else { Met::default() };
-        let depth = SceneDepth::from_window((&values, met), view, [projection, camera], shown);
+        let depth = SceneDepth::from_window(&values, met, view, [projection, camera], shown);
         let depth = Arc::new(depth.map_err(|error| Problem::refused("/depth", error.to_string()))?);
         let picture = self.color.as_ref().map(|color| color.picture(view.size())).transpose()?;
         Ok(ClientScene { depth, picture })

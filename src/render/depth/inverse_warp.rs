@@ -36,13 +36,12 @@ pub struct InverseWarp<'a> {
 }
 
 impl<'a> InverseWarp<'a> {
-    /// `None` where the view has no depth buffer. Of rays that pass none of the voxels `shown`, along the volume's axes, nothing is told: they
-    /// do not end.
+    /// `None` where the view has no depth buffer. Of pixels beside those `shown` along u and v nothing is told: their rays do not end.
     pub fn of(
         view: &'a View,
         volume: &Volume,
         factorization: &'a Factorization,
-        shown: &[Range<usize>; 3],
+        shown: [Range<usize>; 2],
     ) -> Option<Self> {
         let depth = view.depth()?;
         let mut inverse = Self {
@@ -51,7 +50,7 @@ impl<'a> InverseWarp<'a> {
             image_from_sheared: factorization.sheared_from_image.inverse(),
             along: AlongRays::new(view, volume, factorization),
             size: DVec2::new(depth.width as f64, depth.height as f64),
-            shown: factorization.pixels_over(shown),
+            shown,
             limits: Arc::default(),
         };
         let [_, told] = &inverse.shown;
@@ -395,7 +394,8 @@ mod tests {
             };
             let view = view.clone().ending_at(Arc::new(SceneDepth::new(&view, (0..90 * 80).map(distance).collect())));
             for factorization in Factorization::parts(&view, &volume).unwrap() {
-                let warp = InverseWarp::of(&view, &volume, &factorization, &volume.dims().map(|n| 0..n)).unwrap();
+                let all = factorization.size.map(|size| 0..size);
+                let warp = InverseWarp::of(&view, &volume, &factorization, all).unwrap();
                 let [width, height] = factorization.size;
                 let mut count = 0;
                 for v in 0..height - 1 {
@@ -440,8 +440,8 @@ mod tests {
                 }
                 let view = view.clone().ending_at(Arc::new(SceneDepth::new(&view, distances)));
                 for factorization in Factorization::parts(&view, &volume).unwrap() {
-                    let all = volume.dims().map(|n| 0..n);
-                    let warp = InverseWarp::of(&view, &volume, &factorization, &all).unwrap();
+                    let all = factorization.size.map(|size| 0..size);
+                    let warp = InverseWarp::of(&view, &volume, &factorization, all).unwrap();
                     let [width, height] = factorization.size;
                     let mut met = 0;
                     for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
@@ -452,6 +452,14 @@ mod tests {
                         met += usize::from(end < warp.beyond());
                     }
                     assert!(met > 0 && met < width * height / 2, "{met}");
+                    // Beside pixels that show something no ray ends, and over them as before.
+                    let shown = [width / 3..width / 2, height / 4..height / 2];
+                    let part = InverseWarp::of(&view, &volume, &factorization, shown.clone()).unwrap();
+                    for (u, v) in (0..height).flat_map(|v| (0..width).map(move |u| (u, v))) {
+                        let is_shown = shown[0].contains(&u) && shown[1].contains(&v);
+                        let end = if is_shown { warp.end(u, v) } else { warp.beyond() };
+                        assert!((part.end(u, v) - end).abs() < 1e-3, "{projection:?} pixel ({u}, {v})");
+                    }
                 }
             }
         }
